@@ -1,0 +1,1 @@
+"""From packets to correspondences; the only folder that imports av."""

@@ -1,0 +1,19 @@
+"""Errors of this package; each says what is wrong, why, and what to do."""
+
+
+class MvSlapseError(Exception):
+    """Any mistake that the caller can mend; ``exit_code`` is what the command line returns."""
+
+    exit_code = 3
+
+
+class UsageError(MvSlapseError):
+    """A wrong argument, setting or parameter."""
+
+    exit_code = 2
+
+
+class UnusableInput(MvSlapseError):
+    """A video, bag or camera file that cannot be used."""
+
+    exit_code = 3

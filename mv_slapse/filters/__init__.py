@@ -1,0 +1,1 @@
+"""Planes, camera and obstacles over time."""

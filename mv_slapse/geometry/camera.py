@@ -1,0 +1,80 @@
+"""Cameras: intrinsics, lens models, and points between distorted and ideal pixels."""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from mv_slapse.errors import UnusableInput
+
+LENS_MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated camera as in ``sensor_msgs/CameraInfo``.
+
+    Attributes
+    ----------
+    width, height : int
+        Picture size [px].
+    K : (3, 3) float64
+        Intrinsics [px].
+    lens : str
+        Distortion model, one of LENS_MODELS.
+    distortion : (D,) float64
+        Its coefficients, as ROS orders them.
+    """
+
+    width: int
+    height: int
+    K: np.ndarray
+    lens: str = 'plumb_bob'
+    distortion: np.ndarray = field(default_factory=lambda: np.zeros(5))
+
+    def __post_init__(self):
+        """Refuse an uncalibrated camera and an unknown lens."""
+        if not np.all(np.isfinite(self.K)) or self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
+            raise UnusableInput(
+                f'the camera is not calibrated: fx = {self.K[0, 0]}, fy = {self.K[1, 1]}; '
+                'calibrate it (ros2 run camera_calibration cameracalibrator) and give its '
+                'camera_info')
+        if self.lens not in LENS_MODELS:
+            raise UnusableInput(f'lens model {self.lens!r} is not supported; '
+                                f'use one of {", ".join(LENS_MODELS)}')
+
+
+def undistort(camera: Camera, x: np.ndarray) -> np.ndarray:
+    """Return ideal pixels (N, 2) float64 of pixels (N, 2) seen through the lens."""
+    x = np.asarray(x, float)
+    if not np.any(camera.distortion) or not len(x):
+        return x.copy()
+    function = cv2.fisheye.undistortPoints if camera.lens == 'equidistant' else cv2.undistortPoints
+    return function(x[:, None], camera.K, camera.distortion, P=camera.K)[:, 0]
+
+
+def distort(camera: Camera, x: np.ndarray) -> np.ndarray:
+    """Return the pixels (N, 2) float64 at which the lens shows ideal pixels (N, 2)."""
+    x = np.asarray(x, float)
+    if not np.any(camera.distortion) or not len(x):
+        return x.copy()
+    rays = to_rays(camera.K, x)
+    if camera.lens == 'equidistant':
+        return cv2.fisheye.distortPoints(rays[:, None, :2].copy(), camera.K,
+                                         camera.distortion)[:, 0]
+    return cv2.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), camera.K,
+                             camera.distortion)[0][:, 0]
+
+
+def to_rays(K: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return K^-1 x, homogeneous with last coordinate 1, (N, 3), of pixels (N, 2)."""
+    xy = (x - K[:2, 2]) / (K[0, 0], K[1, 1])
+    if K[0, 1]:
+        xy[:, 0] -= K[0, 1] / K[0, 0] * xy[:, 1]
+    return np.c_[xy, np.ones(len(x))]
+
+
+def to_pixels(K: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """Return pixels (N, 2) of points or rays (N, 3) in the camera frame."""
+    x = X @ K.T
+    return x[:, :2] / x[:, 2:]

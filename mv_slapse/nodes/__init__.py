@@ -1,0 +1,1 @@
+"""ROS nodes; the only folder that imports rclpy and messages."""

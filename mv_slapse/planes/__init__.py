@@ -1,0 +1,1 @@
+"""From correspondences to labelled planes and camera motion."""

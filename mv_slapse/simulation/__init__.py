@@ -1,0 +1,1 @@
+"""A rendered street whose camera, planes, movers and labels are known exactly."""

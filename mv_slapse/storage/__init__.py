@@ -1,0 +1,1 @@
+"""Files: trajectories, tables, bags; the only folder that imports mcap and rosbags."""
