@@ -3,9 +3,8 @@
 from dataclasses import dataclass, field
 
 import cv2
-import numpy as np
-
 from mv_slapse.errors import UnusableInput
+import numpy as np
 
 LENS_MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
 
