@@ -10,6 +10,8 @@ Positions go out in the odom frame and come back in {W}, see ``geometry.ros_fram
 from typing import Any
 
 from mv_slapse.geometry import ros_frames
+from mv_slapse.geometry.calibration import camera_from_calibration
+from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import Pose, RosFrames, Twist
 from mv_slapse.records import (
     CameraMotion,
@@ -48,6 +50,22 @@ def stamp_from_message(time: Any) -> int:
 def header(stamp: int, frame_id: str) -> Fields:
     """Return a std_msgs/Header."""
     return {'stamp': stamp_to_fields(stamp), 'frame_id': frame_id}
+
+
+def camera_to_fields(camera: Camera, stamp: int, frame_id: str) -> Fields:
+    """Return sensor_msgs/CameraInfo."""
+    roi = {'x_offset': 0, 'y_offset': 0, 'height': 0, 'width': 0, 'do_rectify': False}
+    return {'header': header(stamp, frame_id),
+            'height': int(camera.height), 'width': int(camera.width),
+            'distortion_model': camera.lens, 'd': _flat(camera.distortion), 'k': _flat(camera.K),
+            'r': _flat(np.eye(3)), 'p': _flat(np.c_[camera.K, np.zeros(3)]),
+            'binning_x': 0, 'binning_y': 0, 'roi': roi}
+
+
+def camera_from_message(msg: Any, origin: str = 'camera_info') -> Camera:
+    """Return the camera of a sensor_msgs/CameraInfo; an unusable one raises UnusableInput."""
+    return camera_from_calibration((int(msg.width), int(msg.height)), msg.k,
+                                   msg.distortion_model, msg.d, origin)
 
 
 def correspondences_to_fields(record: Correspondences, frames: RosFrames) -> Fields:

@@ -1,0 +1,92 @@
+"""Trajectories as text, one pose a row: ``stamp tx ty tz qx qy qz qw`` (TUM format)."""
+
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+from mv_slapse.errors import UnusableInput
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses over time.
+
+    Attributes
+    ----------
+    stamps : (N,) int64
+        [ns], increasing.
+    positions : (N, 3) float64
+    quaternions : (N, 4) float64
+        x y z w, unit.
+    """
+
+    stamps: np.ndarray
+    positions: np.ndarray
+    quaternions: np.ndarray
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self.stamps)
+
+    def rotations(self) -> np.ndarray:
+        """Return the rotation matrices (N, 3, 3)."""
+        return Rotation.from_quat(self.quaternions).as_matrix()
+
+
+def format_stamp(stamp: int) -> str:
+    """Return a stamp [ns] in seconds with all its digits."""
+    sign, (sec, nanosec) = '-' * (stamp < 0), divmod(abs(int(stamp)), 1_000_000_000)
+    return f'{sign}{sec}.{nanosec:09d}'
+
+
+def parse_stamp(text: str) -> int:
+    """Return the stamp [ns] of a text in seconds, exactly: a float would lose digits."""
+    return int((Decimal(text) * 1_000_000_000).to_integral_value())
+
+
+def format_row(stamp: int, R: np.ndarray, t: np.ndarray) -> str:
+    """Return the row of a pose X_W = R X + t, with 9 decimals and without a line end."""
+    q = Rotation.from_matrix(R).as_quat()
+    q = -q if q[3] < 0 else q
+    return ' '.join([format_stamp(stamp), *(f'{value:.9f}' for value in (*t, *q))])
+
+
+def write_trajectory(path: str | Path, trajectory: Trajectory):
+    """Write a trajectory file."""
+    rows = zip(trajectory.stamps, trajectory.rotations(), trajectory.positions, strict=True)
+    Path(path).write_text(''.join(format_row(*row) + '\n' for row in rows))
+
+
+def read_trajectory(path: str | Path) -> Trajectory:
+    """Return the poses of a trajectory file, sorted by stamp; ``#`` starts a comment.
+
+    Raises
+    ------
+    UnusableInput
+        Naming the file, the line and what was expected.
+    """
+    try:
+        lines = Path(path).read_text().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnusableInput(f'{path} cannot be read as a trajectory: {error}') from None
+    rows = [_parse(path, i, line) for i, line in enumerate(lines, 1)
+            if line.strip() and not line.lstrip().startswith('#')]
+    rows.sort(key=lambda row: row[0])
+    values = np.array([row[1] for row in rows], float).reshape(-1, 7)
+    norms = np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
+    stamps = np.array([row[0] for row in rows], np.int64)
+    return Trajectory(stamps, values[:, :3], values[:, 3:] / norms)
+
+
+def _parse(path: str | Path, number: int, line: str) -> tuple[int, list[float]]:
+    parts = line.replace(',', ' ').split()
+    try:
+        stamp, values = parse_stamp(parts[0]), [float(part) for part in parts[1:]]
+    except (InvalidOperation, ValueError):
+        values = []
+    if len(values) != 7 or not np.all(np.isfinite(values)) or not np.any(values[3:]):
+        raise UnusableInput(f'{path}, line {number}: expected "stamp tx ty tz qx qy qz qw", '
+                            f'got {line.strip()[:80]!r}')
+    return stamp, values
