@@ -1,0 +1,141 @@
+"""Video messages as packets or pictures; shared by the ROS nodes and the bag reader.
+
+Messages are read by their attributes, so it does not matter whose classes they are.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+from mv_slapse.codec import bitstream
+from mv_slapse.codec.packet import Packet
+from mv_slapse.errors import UnusableInput
+from mv_slapse.fields import Fields, header, stamp_from_message
+import numpy as np
+
+FFMPEG_PACKET = 'ffmpeg_image_transport_msgs/msg/FFMPEGPacket'
+COMPRESSED_VIDEO = 'foxglove_msgs/msg/CompressedVideo'
+COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
+IMAGE = 'sensor_msgs/msg/Image'
+VIDEO_TYPES = (FFMPEG_PACKET, COMPRESSED_VIDEO, COMPRESSED_IMAGE, IMAGE)
+
+DECODERS = {'264': 'h264', 'avc': 'h264', '265': 'hevc', 'hevc': 'hevc', 'vp9': 'vp9',
+            'vp8': 'vp8', 'av1': 'av1', 'mpeg2': 'mpeg2video', 'mpeg1': 'mpeg1video',
+            'mpeg4': 'mpeg4', 'xvid': 'mpeg4', 'jpeg': 'mjpeg'}
+STILL_FORMATS = ('jpeg', 'jpg', 'png')
+CHANNELS = {'mono8': 1, '8UC1': 1, 'bgr8': 3, '8UC3': 3, 'rgb8': 3, 'bgra8': 4, 'rgba8': 4}
+TO_BGR = {'rgb8': cv2.COLOR_RGB2BGR, 'bgra8': cv2.COLOR_BGRA2BGR, 'rgba8': cv2.COLOR_RGBA2BGR}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An uncompressed picture: (H, W) or (H, W, 3) uint8, grey or BGR, at a stamp [ns]."""
+
+    image: np.ndarray
+    stamp: int
+
+
+def from_message(message_type: str, msg: Any) -> Packet | Picture:
+    """Return what a message of one of VIDEO_TYPES carries.
+
+    Raises
+    ------
+    UnusableInput
+        Where the payload is none of the forms known for this type.
+    """
+    if message_type == IMAGE:
+        return Picture(_raw_image(msg), stamp_from_message(msg.header.stamp))
+    if message_type == FFMPEG_PACKET:
+        stamp, name, flagged = msg.header.stamp, msg.encoding, bool(msg.flags & 1)
+    elif message_type == COMPRESSED_VIDEO:
+        stamp, name, flagged = msg.timestamp, msg.format, False
+    else:
+        stamp, name, flagged = msg.header.stamp, msg.format, False
+        if any(still in name.lower() for still in STILL_FORMATS):
+            return Picture(_still_image(msg), stamp_from_message(stamp))
+    data = bytes(msg.data)
+    codec = bitstream.sniff(data) or decoder_of(name)
+    return Packet(data, stamp_from_message(stamp), flagged or is_key(data, codec), codec)
+
+
+def frame_of(message_type: str, msg: Any) -> str:
+    """Return the camera's optical frame that a video message names."""
+    return msg.frame_id if message_type == COMPRESSED_VIDEO else msg.header.frame_id
+
+
+def packet_to_fields(packet: Packet, size: tuple[int, int], number: int, frame_id: str) -> Fields:
+    """Return ffmpeg_image_transport_msgs/FFMPEGPacket; ``number`` counts the packets."""
+    return {'header': header(packet.stamp, frame_id), 'width': int(size[0]),
+            'height': int(size[1]), 'encoding': packet.codec, 'pts': number,
+            'flags': int(packet.is_key), 'is_bigendian': False,
+            'data': np.frombuffer(in_band(packet), np.uint8)}
+
+
+def in_band(packet: Packet) -> bytes:
+    """Return the payload as a stream that can be joined at any key picture.
+
+    Messages have no place for parameter sets: each key picture brings them along, and H.264
+    from MP4 files becomes Annex B.
+    """
+    is_avcc = packet.codec == 'h264' and packet.extradata[:1] == b'\x01'
+    data = _annex_b(packet) if is_avcc else packet.data
+    if not packet.is_key or not packet.extradata:
+        return data
+    head = packet.extradata
+    if is_avcc:
+        head = b''.join(b'\0\0\0\1' + unit
+                        for unit in bitstream.parameter_sets(packet.extradata))
+    return data if head in data else head + data
+
+
+def decoder_of(name: str) -> str:
+    """Return FFmpeg's name of the decoder for an encoder's or a format's name.
+
+    ``libx264``, ``h264_nvenc``, ``h265`` and, of ffmpeg_image_transport 3,
+    ``h264;yuv420p;bgr8;bgr8``.
+    """
+    first = name.split(';')[0].strip().lower().replace('.', '')
+    return next((decoder for part, decoder in DECODERS.items() if part in first), first)
+
+
+def is_key(data: bytes, codec: str) -> bool:
+    """Return whether decoding can begin at this picture."""
+    if codec == 'h264':
+        return any(unit[0] & 31 == bitstream.NAL_IDR for unit in bitstream.nal_units(data))
+    if codec in ('mpeg2video', 'mpeg1video'):
+        at = data.find(b'\0\0\1\0')  # picture_start_code; then 10 bits of order, 3 of type
+        return at >= 0 and at + 5 < len(data) and data[at + 5] >> 3 & 7 == 1
+    if codec == 'mpeg4':
+        at = data.find(b'\0\0\1\xb6')
+        return at >= 0 and at + 4 < len(data) and data[at + 4] >> 6 == 0
+    return False
+
+
+def _annex_b(packet: Packet) -> bytes:
+    data, n, at, units = packet.data, (packet.extradata[4] & 3) + 1, 0, []
+    while at + n < len(data):
+        size = int.from_bytes(data[at:at + n], 'big')
+        units.append(b'\0\0\0\1' + data[at + n:at + n + size])
+        at += n + size
+    return b''.join(units)
+
+
+def _still_image(msg: Any) -> np.ndarray:
+    image = cv2.imdecode(np.frombuffer(bytes(msg.data), np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise UnusableInput(f'a CompressedImage says {msg.format!r} but is no picture of it')
+    return image
+
+
+def _raw_image(msg: Any) -> np.ndarray:
+    n, encoding = CHANNELS.get(msg.encoding), msg.encoding
+    if n is None:
+        raise UnusableInput(f'pictures encoded as {encoding!r} are not supported; publish one '
+                            f'of {", ".join(CHANNELS)}')
+    data = np.frombuffer(bytes(msg.data), np.uint8)
+    if len(data) < msg.height * msg.step or msg.step < msg.width * n:
+        raise UnusableInput(f'an Image of {msg.width}x{msg.height} {encoding} has '
+                            f'{len(data)} bytes, too few')
+    rows = data[:msg.height * msg.step].reshape(msg.height, msg.step)[:, :msg.width * n]
+    image = rows.reshape(msg.height, msg.width, n) if n > 1 else rows
+    return cv2.cvtColor(image, TO_BGR[encoding]) if encoding in TO_BGR else image
