@@ -1,0 +1,167 @@
+"""A translating plane in two views, split into what they observe and what they do not.
+
+The homography (11) of [MVO] holds only the product ``(t - t_d) plane^T``. About the ray ``(c, 1)``
+of a region's centre that product is ``-g w^T``:
+
+* rate ``g`` (3,): displacement of the surface relative to the camera, ``t - t_d``, over the depth
+  Z of the centre; what the vectors show.
+* slope (A, B): ``w(x) = 1 + (A, B) @ (x - c)`` is the inverse depth relative to the centre's.
+* log depth ``ln Z``: the gauge. Two views say nothing of it.
+
+``theta`` is (g, A, B, ln Z), shape (6,). Lengths are in the unit of t. Motion as in [MVO],
+X_cur = R X_prev + t; rays have last coordinate 1.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+RATE, SLOPE, LOG_DEPTH = slice(0, 3), slice(3, 5), 5
+
+
+class Contact(NamedTuple):
+    """Where a region ends at its bottom.
+
+    Attributes
+    ----------
+    point : (2,) float64
+        Middle of its lowest row's lower edge [px].
+    sigma : float
+        Standard deviation of the row [px]: an edge inside a block may lie anywhere in it.
+    """
+
+    point: np.ndarray
+    sigma: float
+
+
+class ContactDepth(NamedTuple):
+    """Log depth of a region's centre when its lower edge stands on the ground.
+
+    Attributes
+    ----------
+    value, variance : float, float
+        Of ln Z, for given slopes.
+    by_slope : (2,) float64
+        Derivative of ``value``.
+    """
+
+    value: float
+    variance: float
+    by_slope: np.ndarray
+
+
+def weights(slope: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Return w (3,): inverse depth of a ray is ``w @ ray / Z``."""
+    return np.array([slope[0], slope[1], 1 - slope @ centre])
+
+
+def transfer(theta: np.ndarray, rays: np.ndarray, centre: np.ndarray, K: np.ndarray,
+             R_cur_from_prev: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where a moving plane's points were in the previous key frame, (11) of [MVO].
+
+    Parameters
+    ----------
+    theta : (5,) or (6,) array
+        Rate and slope.
+    rays : (N, 3) array
+        Of key frame k.
+    centre : (2,) array
+        First two coordinates of the centre's ray.
+    K, R_cur_from_prev : (3, 3) arrays
+
+    Returns
+    -------
+    x_prev : (N, 2) array
+        [px].
+    jacobian : (N, 2, 5) array
+        By rate and slope.
+    """
+    g, offset = theta[RATE], rays[:, :2] - centre
+    w = 1 + offset @ theta[SLOPE]
+    x = (rays - w[:, None] * g) @ R_cur_from_prev @ K.T
+    by_theta = np.empty((len(rays), 3, 5))
+    by_theta[:, :, RATE] = -w[:, None, None] * (K @ R_cur_from_prev.T)
+    by_theta[:, :, SLOPE] = -(K @ R_cur_from_prev.T @ g)[:, None] * offset[:, None, :]
+    x_prev = x[:, :2] / x[:, 2:]
+    lost = by_theta[:, :2] - x_prev[:, :, None] * by_theta[:, 2:]
+    return x_prev, lost / x[:, 2, None, None]
+
+
+def product(theta: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Return ``(t - t_d) plane^T`` (3, 3), in which the depth has no part."""
+    return -np.outer(theta[RATE], weights(theta[SLOPE], centre))
+
+
+def homography(product_: np.ndarray, K: np.ndarray, R_cur_from_prev: np.ndarray) -> np.ndarray:
+    """Return H (3, 3), x_prev ~ H x_cur, of a moving plane, (11) of [MVO]."""
+    return K @ R_cur_from_prev.T @ (np.eye(3) + product_) @ np.linalg.inv(K)
+
+
+def to_plane(theta: np.ndarray, centre: np.ndarray,
+             t_cur_from_prev: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (plane, t_d) (6,) of the state (14) in camera k and the derivative (6, 6)."""
+    depth, w = np.exp(theta[LOG_DEPTH]), weights(theta[SLOPE], centre)
+    plane, relative = -w / depth, theta[RATE] * depth
+    jacobian = np.zeros((6, 6))
+    jacobian[:3, SLOPE] = -np.vstack([np.eye(2), -centre]) / depth
+    jacobian[:3, LOG_DEPTH] = -plane
+    jacobian[3:, RATE] = -depth * np.eye(3)
+    jacobian[3:, LOG_DEPTH] = -relative
+    return np.r_[plane, t_cur_from_prev - relative], jacobian
+
+
+def from_plane(plane: np.ndarray, t_d: np.ndarray, centre: np.ndarray,
+               t_cur_from_prev: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return theta (6,) of a plane and its displacement and the derivative (6, 6).
+
+    The inverse of ``to_plane``; the centre's ray must meet the plane in front of the camera.
+    """
+    ray = np.r_[centre, 1.0]
+    inverse_depth = -plane @ ray
+    slope = -plane[:2] / inverse_depth
+    relative = t_cur_from_prev - t_d
+    jacobian = np.zeros((6, 6))
+    jacobian[RATE, :3] = -np.outer(relative, ray)
+    jacobian[RATE, 3:] = -inverse_depth * np.eye(3)
+    jacobian[SLOPE, :3] = (-np.eye(2, 3) + np.outer(slope, ray)) / inverse_depth
+    jacobian[LOG_DEPTH, :3] = ray / inverse_depth
+    return np.r_[inverse_depth * relative, slope, -np.log(inverse_depth)], jacobian
+
+
+def contact(x: np.ndarray, block: np.ndarray) -> Contact:
+    """Return where a region of blocks, centres x (N, 2) and sizes (N, 2) [px], meets the ground.
+
+    A single block below all others is taken for a stray: the row above it counts then.
+    """
+    bottom = x[:, 1] + 0.5 * block[:, 1]
+    edge = np.sort(bottom)[-2] if len(bottom) > 3 else bottom.max()
+    lowest = bottom >= edge - 0.5
+    height = float(np.max(block[lowest, 1]))
+    return Contact(np.array([np.mean(x[lowest, 0]), edge]), height / np.sqrt(12))
+
+
+def contact_depth(ground: np.ndarray, contact_: Contact, K: np.ndarray, slope: np.ndarray,
+                  centre: np.ndarray) -> ContactDepth | None:
+    """Depth of a region's centre from the ground plane under its lower edge (ALGORITHM 4).
+
+    Parameters
+    ----------
+    ground : (3,) array
+        n / d in camera k.
+    contact_, K : Contact, (3, 3) array
+    slope, centre : (2,), (2,) arrays
+
+    Returns
+    -------
+    depth : ContactDepth or None
+        None where the contact lies at the horizon or above: it tells nothing then.
+    """
+    ray = np.linalg.solve(K, np.r_[contact_.point, 1.0])
+    offset = ray[:2] - centre
+    inverse_depth, relative = -ground @ ray, 1 + slope @ offset
+    by_row = -ground[1] / K[1, 1]
+    sigma = abs(by_row) * contact_.sigma / inverse_depth if inverse_depth > 0 else np.inf
+    if not sigma < 0.5 or relative < 0.2:
+        return None
+    return ContactDepth(float(np.log(relative / inverse_depth)), float(sigma**2),
+                        offset / relative)
