@@ -1,0 +1,72 @@
+"""Rows of ``planes.csv`` and ``obstacles.csv``, written and read."""
+
+from collections.abc import Callable, Iterator
+import csv
+from pathlib import Path
+
+from mv_slapse.errors import UnusableInput
+from mv_slapse.records import Obstacle, SceneEstimate
+from mv_slapse.storage.tum import format_stamp, parse_stamp
+import numpy as np
+
+PLANES_HEADER = 'stamp,id,nx,ny,nz,d,n_macroblocks'
+OBSTACLES_HEADER = ('stamp,id,state,x,y,width,height,px,py,pz,vx,vy,vz,ttc,n_macroblocks')
+
+
+def plane_rows(scene: SceneEstimate) -> Iterator[str]:
+    """Yield a row for each plane seen in the key frame, in its camera's frame, d >= 0."""
+    for plane in scene.planes:
+        if not plane.n_macroblocks:
+            continue
+        normal = scene.R_world_from_cam.T @ plane.normal
+        depth = plane.depth + plane.normal @ scene.t_world_from_cam
+        sign = -1.0 if depth < 0 else 1.0
+        scale = sign / np.linalg.norm(normal)
+        values = _numbers(np.r_[scale * normal, scale * depth])
+        yield f'{format_stamp(scene.stamp)},{plane.id},{values},{plane.n_macroblocks}'
+
+
+def obstacle_row(obstacle: Obstacle) -> str:
+    """Return the row of an obstacle: box in px, position and velocity in {W}."""
+    o = obstacle
+    values = _numbers([*o.box, *o.position, *o.velocity, o.time_to_contact])
+    return (f'{format_stamp(o.stamp)},{o.id},{o.state.name.lower()},{values},{o.n_macroblocks}')
+
+
+def read_table(path: str | Path, required: str) -> dict[str, np.ndarray]:
+    """Return the columns of a CSV file by name; ``stamp`` as ns, texts as str, else float64.
+
+    Raises
+    ------
+    UnusableInput
+        Where the file cannot be read, a required column (comma-separated names) is missing, or
+        a value is no number.
+    """
+    try:
+        with Path(path).open(newline='') as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnusableInput(f'{path} cannot be read as a table: {error}') from None
+    names = [name.strip() for name in rows[0]] if rows else []
+    missing = [name for name in required.split(',') if name not in names]
+    if missing:
+        raise UnusableInput(f'{path}: no column {", ".join(missing)}; expected {required}')
+    body = [row for row in rows[1:] if len(row) == len(names)]
+    columns = zip(*body, strict=True) if body else [()] * len(names)
+    return {name: _column(path, name, values)
+            for name, values in zip(names, columns, strict=True)}
+
+
+def _column(path: str | Path, name: str, values: tuple[str, ...]) -> np.ndarray:
+    if name in ('state', 'name'):
+        return np.array(values, str)
+    convert: Callable = parse_stamp if name == 'stamp' else float
+    try:
+        return np.array([convert(value) for value in values],
+                        np.int64 if name == 'stamp' else float)
+    except (ValueError, ArithmeticError):
+        raise UnusableInput(f'{path}: a value in column {name} is not a number') from None
+
+
+def _numbers(values: np.ndarray | list) -> str:
+    return ','.join(f'{value:.9g}' for value in values)
