@@ -36,14 +36,55 @@ class DecoderSettings(Checked):
 
     match_probability: float = setting(
         0.6, '-', 'probability p that one motion vector is right, [SLAPSE] III-B', 0.01, 0.999)
+    vector_sigma: float = setting(
+        0.25, 'px', 'standard deviation of a right vector, (2) of [SLAPSE]', 0.01, 10.0)
+    paper_weights: bool = setting(
+        False, '-', 'weigh direct to indirect evidence sqrt(2) to 1, (5) of [SLAPSE], instead of '
+        'by inverse variance, 2 to 1')
+    bend_slack: float = setting(
+        2.0, 'px', 'how far the two vectors of a B block may depart from constant velocity', 0.0)
+    bend_tolerance: float = setting(
+        0.15, '-', 'the same, as a share of the motion over the segment', 0.0)
+    agreement_slack: float = setting(
+        1.0, 'px', 'how far vectors of neighbouring macroblocks may differ', 0.01)
+    agreement_tolerance: float = setting(
+        0.1, '-', 'the same, as a share of the length of the vector', 0.0)
+    min_support: float = setting(
+        2.0, '-', 'least support of a vector by its own and the 8 macroblocks around', 0.0, 9.0)
 
 
 @dataclass(frozen=True)
 class ExtractionSettings(Checked):
     """From correspondences to labelled planes and camera motion, [MVO] 4."""
 
-    min_macroblocks: int = setting(
-        20, '-', 'smallest support of a plane, [SLAPSE] VII-A', 4)
+    epsilon_f: float = setting(
+        3.0, 'sigma', 'largest epipolar error of an inlier, (3) of [MVO]; 99.7 % of a Gaussian',
+        0.5, 20.0)
+    epsilon_m: float = setting(
+        1.0, 'px', 'smallest parallax of a block not at infinity, (7) of [MVO]', 0.0, 20.0)
+    epsilon_h: float = setting(
+        3.0, 'sigma', 'largest error of a block on a plane, along its epipolar line', 0.5, 20.0)
+    min_macroblocks: int = setting(20, '-', 'smallest plane, section VII-A of [SLAPSE]', 4)
+    max_planes: int = setting(8, '-', 'most stationary planes of a key frame', 1, 64)
+    max_uncertainty: float = setting(
+        0.2, '-', 'standard deviation of a plane n / d, as a share of it, beyond which it is '
+        'dropped', 0.001, 1.0)
+    relief: float = setting(
+        0.03, '-', 'depth of a surface about its plane, as a share of depth: a facade 10 m off '
+        'has windows and hedges of 0.3 m', 0.0, 1.0)
+    trials: int = setting(256, '-', 'planes sampled for each consensus', 8, 100000)
+    radius: float = setting(96.0, 'px', 'blocks sampled for one plane lie this close', 16.0)
+    ground_tilt: float = setting(
+        0.07, 'rad', 'standard deviation of the ground normal before it is found: 4 deg of '
+        'mounting', 0.001, 1.0)
+    ground_wobble: float = setting(
+        0.01, 'rad', 'its change from one key frame to the next: suspension and road', 1e-4, 1.0)
+    standstill_share: float = setting(
+        0.5, '-', 'share of blocks with a zero vector at which the camera stands', 0.1, 1.0)
+    min_inliers: float = setting(
+        0.2, '-', 'smallest share of blocks that agree with a camera motion; below, the motion '
+        'is unknown', 0.0, 1.0)
+    seed: int = setting(0, '-', 'of the sampling; the same seed gives the same planes', 0)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,217 @@
+"""What the decoder does not tell: the few header fields of H.264 and MPEG that are needed here.
+
+Only start codes, sequence parameter sets and the first bits of slice headers are read
+(ITU-T H.264 7.3, ISO/IEC 13818-2 6.2).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+NAL_SLICE, NAL_IDR, NAL_SPS, NAL_PPS = 1, 5, 7, 8
+HIGH_PROFILES = (100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135)
+
+
+@dataclass(frozen=True)
+class SequenceParameters:
+    """H.264 sequence parameter set, as far as it is needed.
+
+    Attributes
+    ----------
+    width, height : int
+        Coded size before cropping [px].
+    max_num_ref_frames : int
+        Most pictures that a vector may point to.
+    interlaced : bool
+        Whether fields may be coded (frame_mbs_only_flag is 0).
+    log2_max_frame_num : int
+        Bits of frame_num in slice headers.
+    gaps_allowed : bool
+        Whether frame_num may have gaps without loss.
+    separate_planes : bool
+        Whether slice headers carry a colour plane.
+    """
+
+    width: int
+    height: int
+    max_num_ref_frames: int
+    interlaced: bool
+    log2_max_frame_num: int
+    gaps_allowed: bool
+    separate_planes: bool
+
+
+class BitReader:
+    """Bits of an H.264 payload, emulation prevention removed."""
+
+    def __init__(self, payload: bytes):
+        """Hold the payload; nothing is copied bit by bit."""
+        payload = payload.replace(b'\x00\x00\x03', b'\x00\x00')
+        self._value = int.from_bytes(payload, 'big')
+        self._left = 8 * len(payload)
+
+    def bits(self, n: int) -> int:
+        """Return the next n bits as an unsigned number."""
+        self._left -= n
+        if self._left < 0:
+            raise EOFError('parameter set is truncated')
+        return (self._value >> self._left) & ((1 << n) - 1)
+
+    def ue(self) -> int:
+        """Return the next unsigned Exp-Golomb number, H.264 9.1."""
+        zeros = 0
+        while not self.bits(1):
+            zeros += 1
+        return (1 << zeros) - 1 + self.bits(zeros)
+
+    def se(self) -> int:
+        """Return the next signed Exp-Golomb number, H.264 9.1.1."""
+        k = self.ue()
+        return (k + 1) // 2 if k % 2 else -(k // 2)
+
+
+def nal_units(data: bytes) -> Iterator[bytes]:
+    """Yield the H.264 units of a packet, Annex B or length-prefixed (AVCC)."""
+    if data[:3] == b'\x00\x00\x01' or data[:4] == b'\x00\x00\x00\x01':
+        yield from (unit.rstrip(b'\x00') for unit in data.split(b'\x00\x00\x01') if unit.strip(
+            b'\x00'))
+        return
+    at = 0
+    while at + 4 < len(data):
+        size = int.from_bytes(data[at:at + 4], 'big')
+        if size == 0 or at + 4 + size > len(data):
+            return
+        yield data[at + 4:at + 4 + size]
+        at += 4 + size
+
+
+def parameter_sets(extradata: bytes) -> Iterator[bytes]:
+    """Yield the units of H.264 extradata, avcC or Annex B."""
+    if extradata[:1] != b'\x01':
+        yield from nal_units(extradata)
+        return
+    at = 6
+    for n in (extradata[5] & 31, None):
+        if n is None:
+            n, at = extradata[at], at + 1
+        for _ in range(n):
+            size = int.from_bytes(extradata[at:at + 2], 'big')
+            yield extradata[at + 2:at + 2 + size]
+            at += 2 + size
+        if at >= len(extradata):
+            return
+
+
+def parse_sps(unit: bytes) -> SequenceParameters | None:
+    """Return the fields of a sequence parameter set, H.264 7.3.2.1.1; None where it is broken."""
+    try:
+        return _parse_sps(BitReader(unit[1:]))
+    except EOFError:
+        return None
+
+
+def _parse_sps(bits: BitReader) -> SequenceParameters:
+    profile = bits.bits(8)
+    bits.bits(16)
+    bits.ue()
+    separate = _skip_chroma_and_scaling(bits) if profile in HIGH_PROFILES else False
+    log2_max_frame_num = bits.ue() + 4
+    _skip_picture_order(bits)
+    references, gaps = bits.ue(), bool(bits.bits(1))
+    width, rows = 16 * (bits.ue() + 1), 16 * (bits.ue() + 1)
+    frames_only = bits.bits(1)
+    return SequenceParameters(width, rows * (2 - frames_only), references, not frames_only,
+                              log2_max_frame_num, gaps, separate)
+
+
+def _skip_chroma_and_scaling(bits: BitReader) -> bool:
+    """Skip what only high profiles have; return separate_colour_plane_flag."""
+    chroma = bits.ue()
+    separate = bool(bits.bits(1)) if chroma == 3 else False
+    bits.ue()
+    bits.ue()
+    bits.bits(1)
+    if bits.bits(1):
+        for i in range(12 if chroma == 3 else 8):
+            if bits.bits(1):
+                _skip_scaling_list(bits, 16 if i < 6 else 64)
+    return separate
+
+
+def _skip_scaling_list(bits: BitReader, size: int):
+    last = following = 8
+    for _ in range(size):
+        if following:
+            following = (last + bits.se()) % 256
+        last = following or last
+
+
+def _skip_picture_order(bits: BitReader):
+    kind = bits.ue()
+    if kind == 0:
+        bits.ue()
+    elif kind == 1:
+        bits.bits(1)
+        bits.se()
+        bits.se()
+        for _ in range(bits.ue()):
+            bits.se()
+
+
+class FrameNumbers:
+    """Watches H.264 frame_num for lost reference pictures (ALGORITHM 2, trap 7)."""
+
+    def __init__(self):
+        """Know no parameter set yet."""
+        self.sps: SequenceParameters | None = None
+        self._last: int | None = None
+
+    def read_parameters(self, units: Iterator[bytes]):
+        """Take the newest sequence parameter set among the units."""
+        for unit in units:
+            if unit and unit[0] & 31 == NAL_SPS:
+                self.sps = parse_sps(unit) or self.sps
+
+    def is_gap(self, packet: bytes) -> bool:
+        """Return whether a reference picture is missing before this packet, H.264 7.4.3."""
+        units = list(nal_units(packet))
+        self.read_parameters(units)
+        unit = next((u for u in units if u and u[0] & 31 in (NAL_SLICE, NAL_IDR)), None)
+        if unit is None or self.sps is None or self.sps.interlaced or self.sps.gaps_allowed:
+            return False
+        number = self._frame_num(unit)
+        if number is None:
+            return False
+        is_reference, is_idr = bool(unit[0] & 0x60), unit[0] & 31 == NAL_IDR
+        expected = None if self._last is None else self._last + 1
+        gap = (not is_idr and expected is not None
+               and (number - expected) % (1 << self.sps.log2_max_frame_num) != 0)
+        if is_reference or gap:
+            self._last = number
+        return gap
+
+    def _frame_num(self, unit: bytes) -> int | None:
+        bits = BitReader(unit[1:24])
+        try:
+            bits.ue(), bits.ue(), bits.ue()
+            bits.bits(2 if self.sps.separate_planes else 0)
+            return bits.bits(self.sps.log2_max_frame_num)
+        except EOFError:
+            return None
+
+
+def sniff(data: bytes) -> str:
+    """Return FFmpeg's name of the codec of a packet, or '' where the payload does not tell.
+
+    A topic's format field is sometimes wrong; Annex B and MPEG start codes are not.
+    """
+    at = data.find(b'\x00\x00\x01')
+    if at not in (0, 1) or at + 4 > len(data):
+        return ''
+    code = data[at + 3]
+    if code in (0xB3, 0x00, 0xB8):
+        return 'mpeg2video'
+    if code in (0xB0, 0xB5, 0xB6) or code == 0x20:
+        return 'mpeg4'
+    if code in (0x40, 0x42, 0x44, 0x46) and data[at + 4:at + 5] == b'\x01':
+        return 'hevc'
+    return 'h264' if code & 31 in (NAL_SLICE, NAL_IDR, 6, NAL_SPS, NAL_PPS, 9) else ''

@@ -1,0 +1,44 @@
+"""Packets in, correspondences out: the decoder as one object with one verb."""
+
+from mv_slapse.codec.frames import FrameDecoder
+from mv_slapse.codec.merging import merge
+from mv_slapse.codec.motion_vectors import FrameVectors
+from mv_slapse.codec.packet import Packet
+from mv_slapse.codec.segments import Segment, SegmentBuilder
+from mv_slapse.config import DecoderSettings
+from mv_slapse.geometry.camera import Camera
+from mv_slapse.records import Correspondences, SegmentKind
+
+
+class CorrespondenceDecoder:
+    """Turns coded video into merged motion vectors between key frames."""
+
+    def __init__(self, settings: DecoderSettings, camera: Camera | None = None):
+        """Hold the settings; the first packet opens the codec."""
+        self._settings = settings
+        self._camera = camera
+        self._frames = FrameDecoder(with_luma=False)
+        self._segments = SegmentBuilder()
+
+    def feed(self, packet: Packet) -> list[Correspondences]:
+        """Return the correspondences that this packet completes, often none, in order of time.
+
+        A damaged or lost packet is no error: the pair that it tears is returned BROKEN.
+        """
+        return self._join(self._frames.feed(packet))
+
+    def flush(self) -> list[Correspondences]:
+        """Return what is still held back at the end of the stream."""
+        return self._join(self._frames.flush())
+
+    def _join(self, frames: list[FrameVectors]) -> list[Correspondences]:
+        segments = [self._segments.add(frame) for frame in frames]
+        return [self._correspondences(segment) for segment in segments if segment]
+
+    def _correspondences(self, segment: Segment) -> Correspondences:
+        if segment.kind is SegmentKind.BROKEN:
+            frame = segment.current
+            return Correspondences(frame.stamp, segment.previous.stamp, frame.width,
+                                   frame.height, segment.kind, len(segment.between),
+                                   segment.reason)
+        return merge(segment, self._settings)

@@ -1,0 +1,119 @@
+"""Packets to motion vectors of pictures in the order of presentation, by FFmpeg."""
+
+import av
+from mv_slapse.codec import bitstream
+from mv_slapse.codec.motion_vectors import columns, FrameVectors
+from mv_slapse.codec.packet import Packet
+from mv_slapse.errors import UnusableInput
+from mv_slapse.records import FrameType
+
+WITH_VECTORS = ('h264', 'mpeg2video', 'mpeg1video', 'mpeg4', 'h263', 'flv1')
+MAX_PIXELS = 64_000_000
+CURE = ('re-encode it, for instance with: ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 '
+        'OUTPUT.mp4, or: ffmpeg -i INPUT -c:v mpeg2video -q:v 3 -bf 3 -g 12 OUTPUT.mpg')
+
+
+def check_codec(codec: str):
+    """Refuse a codec whose decoder exports no motion vectors.
+
+    Raises
+    ------
+    UnusableInput
+        For HEVC, VP9, AV1 and all others; the message names the cure.
+    """
+    if codec not in WITH_VECTORS:
+        raise UnusableInput(f'{codec or "this video"} gives no motion vectors: FFmpeg exports '
+                            f'them for H.264, MPEG-1, MPEG-2 and MPEG-4 part 2 only; {CURE}')
+
+
+class FrameDecoder:
+    """Decodes packets, one after another, and reads the vectors of each picture."""
+
+    def __init__(self, with_luma: bool):
+        """Open nothing until the first packet tells the codec."""
+        self._with_luma = with_luma
+        self._context = None
+        self._numbers = bitstream.FrameNumbers()
+        self._stamps: dict[int, int] = {}
+        self._damage: dict[int, str] = {}
+        self._lost = ''
+        self._count = 0
+
+    @property
+    def references(self) -> int:
+        """Most pictures that a vector may point to in one direction; 1 unless H.264 says more."""
+        sps = self._numbers.sps
+        return max(sps.max_num_ref_frames, 1) if sps else 1
+
+    @property
+    def interlaced(self) -> bool:
+        """Whether H.264 may code fields."""
+        return bool(self._numbers.sps and self._numbers.sps.interlaced)
+
+    def feed(self, packet: Packet) -> list[FrameVectors]:
+        """Return the pictures that this packet makes available.
+
+        Damage is a value: what cannot be decoded marks the next picture with the reason.
+        """
+        if not packet.data:
+            return []  # an empty packet would put FFmpeg into its end state for good
+        if self._context is None:
+            self._open(packet)
+        return self._decode(self._wrap(packet))
+
+    def flush(self) -> list[FrameVectors]:
+        """Return the pictures still held back, at the end of the stream."""
+        return [] if self._context is None else self._decode(None)
+
+    def _open(self, packet: Packet):
+        codec = bitstream.sniff(packet.data) or packet.codec
+        if {codec, packet.codec} == {'mpeg1video', 'mpeg2video'}:
+            codec = packet.codec
+        check_codec(codec)
+        self._context = av.CodecContext.create(codec, 'r')
+        if packet.extradata:
+            self._context.extradata = packet.extradata
+            if codec == 'h264':
+                self._numbers.read_parameters(bitstream.parameter_sets(packet.extradata))
+        # Frame threads corrupt exported vectors; the loop filter does not touch them.
+        self._context.thread_type = 'NONE'
+        self._context.options = {
+            'flags2': '+export_mvs', 'skip_loop_filter': 'all', 'max_pixels': str(MAX_PIXELS),
+            **({} if self._with_luma else {'skip_idct': 'all'})}
+
+    def _wrap(self, packet: Packet) -> av.Packet:
+        """Give the packet a number: FFmpeg carries it through reordering, whatever the stamp."""
+        self._count += 1
+        self._stamps[self._count] = packet.stamp
+        if self._context.name == 'h264' and self._numbers.is_gap(packet.data):
+            self._damage[self._count] = 'a reference picture was lost (gap in frame_num)'
+        wrapped = av.Packet(packet.data)
+        wrapped.pts = wrapped.dts = self._count
+        return wrapped
+
+    def _decode(self, wrapped: av.Packet | None) -> list[FrameVectors]:
+        try:
+            pictures = self._context.decode(wrapped)
+        except av.error.EOFError:
+            return []
+        except av.error.FFmpegError as error:
+            self._lost = f'a packet could not be decoded ({error.strerror or error})'
+            return []
+        return [self._read(picture) for picture in pictures]
+
+    def _read(self, picture: av.VideoFrame) -> FrameVectors:
+        number = picture.pts
+        stamp = self._stamps[number]
+        for old in [n for n in self._stamps if n < number - 64]:
+            self._stamps.pop(old), self._damage.pop(old, None)
+        exported = picture.side_data.get('MOTION_VECTORS')
+        table = columns(None if exported is None else exported.to_ndarray())
+        damage, self._lost = self._damage.pop(number, '') or self._lost, ''
+        if getattr(picture, 'is_corrupt', False):
+            damage = damage or 'the decoder calls the picture corrupt'
+        kind = FrameType(int(picture.pict_type)) if int(picture.pict_type) in (1, 2, 3) else (
+            FrameType.I)
+        luma = picture.to_ndarray(format='gray') if self._with_luma and (
+            kind is not FrameType.B) else None
+        return FrameVectors(stamp, kind, picture.width, picture.height, damage=damage,
+                            luma=luma, **table)

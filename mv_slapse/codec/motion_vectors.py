@@ -1,0 +1,77 @@
+"""Motion vectors of one picture, as exact displacements of block centres."""
+
+from dataclasses import dataclass, field
+
+from mv_slapse.records import FrameType
+import numpy as np
+
+PAST, FUTURE = -1, 1
+
+
+@dataclass(frozen=True)
+class FrameVectors:
+    """Motion vectors of one picture.
+
+    Attributes
+    ----------
+    stamp : int
+        Presentation time [ns].
+    frame_type : FrameType
+    width, height : int
+        Picture size [px].
+    x : (N, 2) float32
+        Block centres, pixels centred at integers [px].
+    displacement : (N, 2) float32
+        From the block to its match in the reference picture [px].
+    direction : (N,) int8
+        PAST or FUTURE: the list of references, never which of them (ALGORITHM 2, trap 2).
+    block : (N, 2) uint8
+        Block width and height [px].
+    damage : str
+        Why the vectors cannot be joined to the pictures before, else empty.
+    luma : (height, width) uint8 or None
+        Grey picture, kept only where a dead segment may have to be bridged.
+    """
+
+    stamp: int
+    frame_type: FrameType
+    width: int
+    height: int
+    x: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    displacement: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    direction: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
+    block: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.uint8))
+    damage: str = ''
+    luma: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        """Return the number of vectors."""
+        return len(self.x)
+
+
+def columns(exported: np.ndarray | None) -> dict[str, np.ndarray]:
+    """Return the columns of FrameVectors that FFmpeg's exported table holds.
+
+    The match lies at dst + motion / motion_scale: FFmpeg's own src_x and src_y are rounded to
+    whole pixels. Half a pixel is taken off because FFmpeg counts from the picture's corner.
+
+    Parameters
+    ----------
+    exported : structured array of shape (N,), or None
+        AVMotionVector rows, None for a picture without vectors.
+
+    Returns
+    -------
+    dict of x, displacement, direction, block; see FrameVectors
+    """
+    if exported is None or not len(exported):
+        return {}
+    x = np.empty((len(exported), 2), np.float32)
+    x[:, 0], x[:, 1] = exported['dst_x'], exported['dst_y']
+    motion = np.empty_like(x)
+    motion[:, 0], motion[:, 1] = exported['motion_x'], exported['motion_y']
+    motion /= np.maximum(exported['motion_scale'], 1).astype(np.float32)[:, None]
+    block = np.empty((len(exported), 2), np.uint8)
+    block[:, 0], block[:, 1] = exported['w'], exported['h']
+    return {'x': x - np.float32(0.5), 'displacement': motion, 'block': block,
+            'direction': np.sign(exported['source']).astype(np.int8)}

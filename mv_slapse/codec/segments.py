@@ -1,0 +1,76 @@
+"""Pictures in order of presentation to segments between key frames, [SLAPSE] V-A and figure 4."""
+
+from dataclasses import dataclass
+
+from mv_slapse.codec.motion_vectors import FrameVectors
+from mv_slapse.records import FrameType, SegmentKind
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Two consecutive key frames (I or P) and the B frames between them.
+
+    Attributes
+    ----------
+    previous, current : FrameVectors
+        Key frames k-1 and k.
+    between : tuple of FrameVectors
+        The B frames, in order of presentation.
+    kind : SegmentKind
+        IP, PP, PI, or BROKEN where nothing joins the two.
+    reason : str
+        Why it is BROKEN, else empty.
+    """
+
+    previous: FrameVectors
+    current: FrameVectors
+    between: tuple[FrameVectors, ...]
+    kind: SegmentKind
+    reason: str = ''
+
+
+class SegmentBuilder:
+    """Collects pictures until a segment is complete."""
+
+    def __init__(self):
+        """Start before the first key frame."""
+        self._previous: FrameVectors | None = None
+        self._between: list[FrameVectors] = []
+        self._damage = ''
+
+    def add(self, frame: FrameVectors) -> Segment | None:
+        """Return the segment that ends with this picture, None where it ends none."""
+        if self._previous is None:
+            self._previous = None if frame.frame_type is FrameType.B else frame
+            return None
+        last = self._between[-1] if self._between else self._previous
+        if frame.stamp <= last.stamp:
+            self._damage = 'time stamps do not increase'
+        self._damage = self._damage or frame.damage
+        if frame.frame_type is FrameType.B:
+            self._between.append(frame)
+            return None
+        return self._close(frame)
+
+    def _close(self, frame: FrameVectors) -> Segment:
+        previous, between = self._previous, tuple(self._between)
+        reason = self._damage or _why_broken(previous, between, frame)
+        kind = SegmentKind.BROKEN if reason else _kind(previous, frame)
+        self._previous, self._between, self._damage = frame, [], ''
+        return Segment(previous, frame, between, kind, reason)
+
+
+def _kind(previous: FrameVectors, current: FrameVectors) -> SegmentKind:
+    if current.frame_type is FrameType.I:
+        return SegmentKind.PI
+    return SegmentKind.IP if previous.frame_type is FrameType.I else SegmentKind.PP
+
+
+def _why_broken(previous: FrameVectors, between: tuple[FrameVectors, ...],
+                current: FrameVectors) -> str:
+    if (previous.width, previous.height) != (current.width, current.height):
+        return (f'the picture size changed from {previous.width}x{previous.height} to '
+                f'{current.width}x{current.height}')
+    if current.frame_type is FrameType.I and not any(len(frame) for frame in between):
+        return 'an I frame without B frames before it: no vector joins it to the past'
+    return ''

@@ -1,0 +1,153 @@
+"""Video files and network streams as packets with presentation times."""
+
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import av
+from mv_slapse.codec.frames import check_codec
+from mv_slapse.codec.packet import Packet
+from mv_slapse.errors import UnusableInput
+
+PROTOCOLS = 'file,rtsp,rtp,udp,tcp,http,https'
+DEFAULT_RATE = Fraction(25)
+NANOSECONDS = 10 ** 9
+
+
+class Source:
+    """An open video; a context manager.
+
+    Attributes
+    ----------
+    codec : str
+        FFmpeg's name of the decoder.
+    width, height : int
+        Picture size [px].
+    fps : float
+        Frame rate as the container tells it; 0 where it does not [1/s].
+    n_frames : int
+        Number of pictures as the container tells it; 0 where it does not.
+    """
+
+    def __init__(self, container, is_live: bool):
+        """Take the first video stream of an open container."""
+        self._container = container
+        self._stream = container.streams.video[0]
+        self._is_live = is_live
+        context = self._stream.codec_context
+        self.codec = self._stream.codec.name
+        self.width, self.height = context.width, context.height
+        self._rate = self._stream.average_rate or self._stream.guessed_rate
+        self.fps = float(self._rate or 0)
+        self.n_frames = self._stream.frames
+        self.interlaced = _is_interlaced(context)
+
+    def __enter__(self) -> 'Source':
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_):
+        """Close the file."""
+        self.close()
+
+    def close(self):
+        """Close the file or the connection."""
+        self._container.close()
+
+    def packets(self) -> Iterator[Packet]:
+        """Yield the packets of the video in the order of decoding.
+
+        The stamp of a file's first picture is 0. A file that is cut off is played as far as it
+        goes. Where a packet carries no time, the frame rate gives it one.
+        """
+        extradata = bytes(self._stream.codec_context.extradata or b'')
+        clock = _Clock(self._stream, self._rate)
+        for packet in self._demux():
+            yield Packet(bytes(packet), clock.stamp(packet), bool(packet.is_keyframe),
+                         self.codec, extradata)
+
+    def _demux(self) -> Iterator[av.Packet]:
+        packets = self._container.demux(self._stream)
+        while True:
+            try:
+                packet = next(packets)
+            except (StopIteration, av.error.FFmpegError):
+                return
+            if packet.size:
+                yield packet
+
+
+class _Clock:
+    """Presentation times [ns] of packets, from zero."""
+
+    def __init__(self, stream, rate: Fraction | None):
+        self._base = stream.time_base or Fraction(1, 90000)
+        self._start = stream.start_time
+        self._step = Fraction(NANOSECONDS) / (rate or DEFAULT_RATE)
+        self._count = 0
+
+    def stamp(self, packet) -> int:
+        number, self._count = self._count, self._count + 1
+        if packet.pts is None:
+            return round(number * self._step)
+        if self._start is None:
+            self._start = packet.pts
+        return round((packet.pts - self._start) * self._base * NANOSECONDS)
+
+
+def open_source(path_or_url: str | Path) -> Source:
+    """Open a video file or a stream.
+
+    Parameters
+    ----------
+    path_or_url : str or Path
+        A file, or a URL of file, rtsp, rtp, udp, tcp, http or https.
+
+    Raises
+    ------
+    UnusableInput
+        Where there is no such file, no video in it, or a codec without motion vectors.
+    """
+    name = str(path_or_url)
+    is_url = '://' in name
+    if not is_url:
+        _check_file(Path(name))
+    elif name.split('://', 1)[0].lower() not in PROTOCOLS.split(','):
+        raise UnusableInput(f'{name}: protocol not allowed; use one of {PROTOCOLS}')
+    try:
+        container = av.open(name, options={'protocol_whitelist': PROTOCOLS})
+    except (av.error.FFmpegError, OSError) as error:
+        raise UnusableInput(f'{name} cannot be opened as a video: {error}; give a video file '
+                            'that FFmpeg can read, or a stream that is reachable') from error
+    if not container.streams.video:
+        container.close()
+        raise UnusableInput(f'{name} has no video stream; give a file with pictures in it')
+    return _checked(container, name, is_url)
+
+
+def _checked(container, name: str, is_live: bool) -> Source:
+    source = Source(container, is_live)
+    try:
+        check_codec(source.codec)
+        if source.interlaced:
+            raise UnusableInput('the video is interlaced: its vectors join fields, not frames; '
+                                'deinterlace it with: ffmpeg -i INPUT -vf bwdif -c:v libx264 '
+                                '-refs 1 -bf 0 OUTPUT.mp4')
+    except UnusableInput as error:
+        source.close()
+        raise UnusableInput(f'{name}: {error}') from None
+    return source
+
+
+def _check_file(path: Path):
+    if path.is_dir():
+        raise UnusableInput(f'{path} is a directory; give a video file')
+    if not path.exists():
+        raise UnusableInput(f'{path}: no such file; check the path')
+    if not path.stat().st_size:
+        raise UnusableInput(f'{path} is empty; was the recording finished?')
+
+
+def _is_interlaced(context) -> bool:
+    """Return whether the parser saw fields: AV_FIELD_TT and all after it."""
+    return int(getattr(context, 'field_order', 0) or 0) > 1
