@@ -42,7 +42,7 @@ class BagWriter:
             raise UsageError(f'{path} cannot be written: {error.strerror}; choose another place'
                              ) from None
         self._connections: dict = {}
-        self._newest = 0
+        self._newest = -1
 
     def __enter__(self) -> 'BagWriter':
         """Return itself."""
@@ -55,13 +55,13 @@ class BagWriter:
     def write(self, topic: str, name: str, values: Fields, stamp: int, latched: bool = False):
         """Write a message of the type ``name``.
 
-        The time of the log is ``stamp`` [ns], or that of the message before where that is later:
-        a player sends in this order.
+        The time of the log is ``stamp`` [ns], or just after the message before where that is
+        later: players sort by it and must keep the order of writing.
         """
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
                 topic, name, typestore=messages.typestore(), offered_qos_profiles=[_qos(latched)])
-        self._newest = max(self._newest, stamp)
+        self._newest = max(self._newest + 1, stamp)
         self._writer.write(self._connections[topic], self._newest,
                            messages.serialize(name, values))
 

@@ -1,0 +1,179 @@
+"""Video and calibration out of bags: rosbag2 folders, bare .mcap and .db3 files, cut ones too."""
+
+from collections.abc import Collection, Iterator
+import os
+from pathlib import Path
+import sqlite3
+from typing import Any, NamedTuple
+
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message, Schema
+from mcap.stream_reader import StreamReader
+from mv_slapse import fields, video_messages
+from mv_slapse.codec.packet import Packet
+from mv_slapse.errors import UnusableInput, UsageError
+from mv_slapse.geometry.camera import Camera
+from mv_slapse.storage import messages
+from mv_slapse.video_messages import Picture
+from rosbags.rosbag2 import Reader, ReaderError
+
+CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+SUFFIXES = ('.mcap', '.db3', '.bag')
+MAGIC = b'\x89MCAP0\r\n'
+
+
+class Raw(NamedTuple):
+    """A serialised message of a bag; ``stamp`` is the log's [ns]."""
+
+    topic: str
+    type: str
+    stamp: int
+    data: bytes
+
+
+def is_bag(path: str | Path) -> bool:
+    """Return whether a path is a bag rather than a video."""
+    path = Path(path)
+    if path.is_dir():
+        return (path / 'metadata.yaml').exists() or bool(_mcap_files(path))
+    return path.suffix in SUFFIXES
+
+
+class BagReader:
+    """Messages of a bag.
+
+    Attributes
+    ----------
+    topics : dict
+        Topic to message type.
+    is_cut : bool
+        Whether the end of the bag is missing; what is whole before the cut is read.
+    """
+
+    def __init__(self, path: str | Path):
+        """Read which topics there are.
+
+        Raises
+        ------
+        UnusableInput
+            Where there is no bag, or nothing of it can be read.
+        """
+        self._path = Path(path)
+        if not self._path.exists():
+            raise UnusableInput(f'{path}: no such bag; check the path')
+        if self._path.suffix == '.bag' and self._path.is_file():
+            raise UnusableInput(f'{path} is a ROS 1 bag; convert it with: rosbags-convert '
+                                f'--src {path} --dst {self._path.stem}')
+        self.is_cut = False
+        try:
+            self.topics = _whole_topics(self._path)
+        except (ReaderError, OSError, ValueError, AssertionError, sqlite3.Error) as error:
+            self.is_cut = True
+            self.topics = {raw.topic: raw.type for raw in _salvage(self._path)}
+            if not self.topics:
+                raise UnusableInput(f'{path} cannot be read as a bag: {error}; is it a rosbag2 '
+                                    'folder or an .mcap file with messages in it?') from None
+
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[Raw, Any]]:
+        """Yield the messages of some topics with their serialised form, in the log's order."""
+        read = _salvage if self.is_cut else _whole
+        for raw in read(self._path, topics):
+            if raw.topic in topics:
+                try:
+                    yield raw, messages.typestore().deserialize_cdr(raw.data, raw.type)
+                except KeyError:
+                    raise UnusableInput(f'{self._path}: topic {raw.topic} has type {raw.type}, '
+                                        'which is not known here') from None
+
+    def video_topic(self, topic: str | None = None) -> str:
+        """Return the topic with the video, by name or because there is just one.
+
+        Raises
+        ------
+        UnusableInput, UsageError
+            Where there is none; where there are several and none is named. Both list them.
+        """
+        videos = [name for name, kind in self.topics.items() if self._is_video(name, kind)]
+        if topic is not None:
+            return self._named(topic, videos)
+        if not videos:
+            listed = ', '.join(f'{name} ({kind})' for name, kind in sorted(self.topics.items()))
+            raise UnusableInput(f'{self._path} has no video topic; it has {listed or "none"}. '
+                                f'Video types are {", ".join(video_messages.VIDEO_TYPES)}')
+        if len(videos) > 1:
+            raise UsageError(f'{self._path} has several video topics; choose one with --topic: '
+                             f'{", ".join(sorted(videos))}')
+        return videos[0]
+
+    def packets(self, topic: str) -> Iterator[Packet | Picture]:
+        """Yield the coded packets, or the pictures, of a video topic."""
+        for raw, msg in self.messages([topic]):
+            yield video_messages.from_message(raw.type, msg)
+
+    def camera(self, video_topic: str) -> Camera | None:
+        """Return the camera whose ``camera_info`` belongs to a video topic; None without one."""
+        infos = [name for name, kind in self.topics.items() if kind == CAMERA_INFO]
+        if not infos:
+            return None
+        best = max(infos, key=lambda name: len(os.path.commonprefix([name, video_topic])))
+        for _, msg in self.messages([best]):
+            return fields.camera_from_message(msg, f'{self._path}, topic {best}')
+        return None
+
+    def _is_video(self, name: str, kind: str) -> bool:
+        return kind in video_messages.VIDEO_TYPES
+
+    def _named(self, topic: str, videos: list[str]) -> str:
+        name = topic if topic.startswith('/') else '/' + topic
+        if name not in self.topics:
+            raise UsageError(f'{self._path} has no topic {name}; it has '
+                             f'{", ".join(sorted(self.topics)) or "none"}')
+        if name not in videos:
+            raise UsageError(f'topic {name} has type {self.topics[name]}, which is no video; '
+                             f'video topics here: {", ".join(sorted(videos)) or "none"}')
+        return name
+
+
+def _whole_topics(path: Path) -> dict[str, str]:
+    with Reader(path) as reader:
+        return {c.topic: c.msgtype for c in reader.connections}
+
+
+def _whole(path: Path, topics: Collection[str]) -> Iterator[Raw]:
+    with Reader(path) as reader:
+        connections = [c for c in reader.connections if c.topic in topics]
+        for connection, stamp, data in reader.messages(connections) if connections else ():
+            yield Raw(connection.topic, connection.msgtype, stamp, bytes(data))
+
+
+def _salvage(path: Path, _topics: Collection[str] = ()) -> Iterator[Raw]:
+    """Yield the whole messages of MCAP files, without need of index or end."""
+    for file in _mcap_files(path) if path.is_dir() else [path]:
+        with file.open('rb') as stream:
+            if stream.read(len(MAGIC)) != MAGIC:
+                continue
+            stream.seek(0)
+            yield from _whole_records(StreamReader(stream))
+
+
+def _whole_records(reader: StreamReader) -> Iterator[Raw]:
+    schemas: dict[int, str] = {}
+    channels: dict[int, Channel] = {}
+    records = reader.records
+    while True:
+        try:
+            record = next(records)
+        except (StopIteration, McapError, EOFError, ValueError, OSError):
+            return  # the cut, or damage: what follows cannot be trusted
+        if isinstance(record, Schema):
+            schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message) and record.channel_id in channels:
+            channel = channels[record.channel_id]
+            yield Raw(channel.topic, schemas.get(channel.schema_id, ''), record.log_time,
+                      bytes(record.data))
+
+
+def _mcap_files(folder: Path) -> list[Path]:
+    return sorted(folder.glob('*.mcap'))
