@@ -74,7 +74,7 @@ def stack(parts: list[Quads]) -> Quads:
 
 def nearness(w: np.ndarray, layer: np.ndarray) -> np.ndarray:
     """Return inverse depth w with coplanar layers told apart, larger is seen first."""
-    return w * (1 + 1e-5 * layer)
+    return w * (1 + 3e-5 * layer)
 
 
 def cast(quads: Quads, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

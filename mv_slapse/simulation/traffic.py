@@ -1,4 +1,8 @@
-"""Cars: which move, where, how fast; which are parked."""
+"""Cars: which move, where, how fast; which are parked.
+
+Cars do not see each other: of slower, starting and stopping (right lane) and of faster and
+same_speed (own lane), take one each where they should not drive through one another.
+"""
 
 from mv_slapse.simulation import textures
 from mv_slapse.simulation.paths import Path, SpeedProfile, steady
@@ -8,7 +12,7 @@ import numpy as np
 
 KINDS = ('slower', 'faster', 'same_speed', 'oncoming', 'crossing', 'starting', 'stopping')
 OWN_LANE, RIGHT_LANE, LEFT_LANE, PARKING = 0.0, 3.4, -3.6, 6.4   # lateral [m]
-CROSSING_AT = 48.0   # arc length of the street that crosses [m]
+CROSSING_AT = 50.0   # arc length of the street that crosses [m]
 
 
 def crossings(kinds: tuple[str, ...]) -> tuple[float, ...]:
@@ -19,23 +23,26 @@ def crossings(kinds: tuple[str, ...]) -> tuple[float, ...]:
 def drive(kinds: tuple[str, ...], path: Path, speed: float,
           rng: np.random.Generator) -> tuple[Car, ...]:
     """Return a moving car for each kind; ``speed`` [m/s] is the camera's."""
-    return tuple(_mover(FIRST_MOVER + n, kind, path, speed, rng)
+    # Oncoming cars start farther off where a crossing one must get through first.
+    far = 15.0 if 'crossing' in kinds else 0.0
+    return tuple(_mover(FIRST_MOVER + n, kind, path, speed, far, rng)
                  for n, kind in enumerate(kinds))
 
 
-def _mover(id_: int, kind: str, path: Path, speed: float, rng: np.random.Generator) -> Car:
+def _mover(id_: int, kind: str, path: Path, speed: float, far: float,
+           rng: np.random.Generator) -> Car:
     gap, change, late = rng.uniform(0, 4), rng.uniform(-0.5, 0.5), rng.uniform(0, 0.3)
     pace = abs(speed)
     plans = {  # lateral [m], arc length at time 0 [m], speed
         'slower': (RIGHT_LANE, 16 + gap, steady(0.6 * pace + change)),
         'faster': (OWN_LANE, 9 + gap, steady(pace + 2 + change)),
         'same_speed': (OWN_LANE, 12 + gap, steady(speed)),
-        'oncoming': (LEFT_LANE, 60 + 4 * gap, steady(-9 - change)),
+        'oncoming': (LEFT_LANE, 60 + far + 4 * gap, steady(-9 - change)),
         'crossing': (0.0, -18 - gap, steady(8 + change)),
         'starting': (RIGHT_LANE, 30 + gap,
                      SpeedProfile((1.5 + late, 4.0 + late), (0.0, 8 + change))),
-        'stopping': (RIGHT_LANE, 14 + gap,
-                     SpeedProfile((1.0 + late, 3.0 + late), (8 + change, 0.0))),
+        'stopping': (RIGHT_LANE, 26 + gap,
+                     SpeedProfile((0.5 + late, 2.0 + late), (8 + change, 0.0))),
     }
     lateral, start, profile = plans[kind]
     if kind == 'crossing':
