@@ -215,3 +215,13 @@ def sniff(data: bytes) -> str:
     if code in (0x40, 0x42, 0x44, 0x46) and data[at + 4:at + 5] == b'\x01':
         return 'hevc'
     return 'h264' if code & 31 in (NAL_SLICE, NAL_IDR, 6, NAL_SPS, NAL_PPS, 9) else ''
+
+
+def is_b_picture(data: bytes) -> bool:
+    """Return whether an MPEG-1, MPEG-2 or MPEG-4 packet holds a B picture (its coding type)."""
+    for code, shift, b in ((b'\x00\x00\x01\x00', 3, 3), (b'\x00\x00\x01\xb6', 6, 2)):
+        at = data.find(code)
+        if at >= 0 and len(data) > at + 5:
+            byte = data[at + 5] if shift == 3 else data[at + 4]
+            return (byte >> shift) & (7 if shift == 3 else 3) == b
+    return False

@@ -34,10 +34,11 @@ class FrameDecoder:
         self._with_luma = with_luma
         self._context = None
         self._numbers = bitstream.FrameNumbers()
-        self._stamps: dict[int, int] = {}
+        self._stamps = _Stamps()
         self._damage: dict[int, str] = {}
         self._lost = ''
         self._count = 0
+        self._last_key = b''
 
     @property
     def references(self) -> int:
@@ -63,7 +64,12 @@ class FrameDecoder:
 
     def flush(self) -> list[FrameVectors]:
         """Return the pictures still held back, at the end of the stream."""
-        return [] if self._context is None else self._decode(None)
+        if self._context is None:
+            return []
+        # FFmpeg's MPEG decoders hand out the last key picture without its vectors unless another
+        # one pushes it out; the echo itself has no stamp and is dropped.
+        echo = self._last_key and self._context.name != 'h264'
+        return (self._decode(_numbered(self._last_key, 0)) if echo else []) + self._decode(None)
 
     def _open(self, packet: Packet):
         codec = bitstream.sniff(packet.data) or packet.codec
@@ -84,12 +90,13 @@ class FrameDecoder:
     def _wrap(self, packet: Packet) -> av.Packet:
         """Give the packet a number: FFmpeg carries it through reordering, whatever the stamp."""
         self._count += 1
-        self._stamps[self._count] = packet.stamp
-        if self._context.name == 'h264' and self._numbers.is_gap(packet.data):
-            self._damage[self._count] = 'a reference picture was lost (gap in frame_num)'
-        wrapped = av.Packet(packet.data)
-        wrapped.pts = wrapped.dts = self._count
-        return wrapped
+        self._stamps.add(self._count, packet.stamp)
+        if self._context.name == 'h264':
+            if self._numbers.is_gap(packet.data):
+                self._damage[self._count] = 'a reference picture was lost (gap in frame_num)'
+        elif not bitstream.is_b_picture(packet.data):
+            self._last_key = packet.data
+        return _numbered(packet.data, self._count)
 
     def _decode(self, wrapped: av.Packet | None) -> list[FrameVectors]:
         try:
@@ -98,22 +105,54 @@ class FrameDecoder:
             return []
         except av.error.FFmpegError as error:
             self._lost = f'a packet could not be decoded ({error.strerror or error})'
+            self._stamps.drop(self._count)
             return []
-        return [self._read(picture) for picture in pictures]
+        return [self._read(picture) for picture in pictures if picture.pts]
 
     def _read(self, picture: av.VideoFrame) -> FrameVectors:
-        number = picture.pts
-        stamp = self._stamps[number]
-        for old in [n for n in self._stamps if n < number - 64]:
-            self._stamps.pop(old), self._damage.pop(old, None)
-        exported = picture.side_data.get('MOTION_VECTORS')
-        table = columns(None if exported is None else exported.to_ndarray())
-        damage, self._lost = self._damage.pop(number, '') or self._lost, ''
+        kind = int(picture.pict_type)
+        kind = FrameType(kind) if kind in (1, 2, 3) else FrameType.I
+        stamp = self._stamps.take(picture.pts, kind)
+        damage, self._lost = self._damage.pop(picture.pts, '') or self._lost, ''
         if getattr(picture, 'is_corrupt', False):
             damage = damage or 'the decoder calls the picture corrupt'
-        kind = FrameType(int(picture.pict_type)) if int(picture.pict_type) in (1, 2, 3) else (
-            FrameType.I)
-        luma = picture.to_ndarray(format='gray') if self._with_luma and (
-            kind is not FrameType.B) else None
+        exported = picture.side_data.get('MOTION_VECTORS')
+        table = columns(None if exported is None else exported.to_ndarray())
+        keep = self._with_luma and kind is not FrameType.B
         return FrameVectors(stamp, kind, picture.width, picture.height, damage=damage,
-                            luma=luma, **table)
+                            luma=picture.to_ndarray(format='gray') if keep else None, **table)
+
+
+class _Stamps:
+    """Stamps of pictures inside the decoder.
+
+    Some sources (raw .h264, recorders without reordering) stamp in the order of decoding. That
+    is noticed when a B frame comes out before an older packet with an older stamp; from then on
+    each picture gets the oldest stamp that is left.
+    """
+
+    def __init__(self):
+        self._pending: dict[int, int] = {}
+        self._by_age = False
+
+    def add(self, number: int, stamp: int):
+        self._pending[number] = stamp
+
+    def drop(self, number: int):
+        self._pending.pop(number, None)
+
+    def take(self, number: int, kind: FrameType) -> int:
+        stamps = list(self._pending.values())
+        late = number != min(self._pending)
+        if kind is FrameType.B and late and stamps == sorted(set(stamps)):
+            self._by_age = True
+        stamp = self._pending.pop(min(self._pending) if self._by_age else number)
+        for old in [n for n in self._pending if n < number - 64]:
+            self._pending.pop(old)
+        return stamp
+
+
+def _numbered(data: bytes, number: int) -> av.Packet:
+    packet = av.Packet(data)
+    packet.pts = packet.dts = number
+    return packet

@@ -1,0 +1,138 @@
+"""Pictures to coded packets, for raw image topics, the simulator and tests.
+
+The encoder's motion search is what measures the motion then, so it is set for true vectors
+rather than for few bits: one reference, high quality, wide search.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+
+import av
+from mv_slapse.codec.packet import Packet
+from mv_slapse.errors import UsageError
+import numpy as np
+
+LAMBDA = 118  # FF_QP2LAMBDA: FFmpeg's unit of quality
+PRESETS = {
+    'mpeg2video': {'flags': '+qscale', 'global_quality': str(3 * LAMBDA),
+                   'sc_threshold': '1000000000', 'b_strategy': '0', 'me_range': '0',
+                   'dia_size': '4', 'subq': '8', 'cmp': 'satd', 'subcmp': 'satd', 'mbd': 'rd'},
+    'h264': {'preset': 'medium', 'crf': '18',
+             'x264-params': 'ref=1:scenecut=0:rc-lookahead=0:sync-lookahead=0:weightp=0:'
+                            'b-adapt=0:b-pyramid=none:weightb=0:mbtree=0:sliced-threads=0:'
+                            'threads=1:open-gop=1'},
+}
+ENCODERS = {'mpeg2video': 'mpeg2video', 'h264': 'libx264'}
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How pictures are coded.
+
+    Attributes
+    ----------
+    codec : str
+        mpeg2video or h264.
+    b_frames : int
+        B frames between two key frames; always so many.
+    gop : int
+        An I frame every so many pictures. The B frames before it refer to it and to the past (an
+        open group), for without them no vector joins an I frame to the past.
+    options : dict
+        FFmpeg options of the encoder that replace those of PRESETS.
+    """
+
+    codec: str = 'mpeg2video'
+    b_frames: int = 3
+    gop: int = 12
+    options: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self):
+        """Refuse a codec without a preset."""
+        if self.codec not in ENCODERS:
+            raise UsageError(f'no encoder for {self.codec!r}: use one of {", ".join(ENCODERS)}')
+
+
+LOW_LATENCY = Encoding('h264', 0, 30)
+
+
+class ImageEncoder:
+    """Codes pictures one after another."""
+
+    def __init__(self, encoding: Encoding | None = None):
+        """Open nothing until the first picture tells the size."""
+        self._encoding = encoding or Encoding()
+        self._context = None
+        self._stamps: list[int] = []
+
+    def feed(self, image: np.ndarray, stamp: int) -> list[Packet]:
+        """Return the packets that this picture completes.
+
+        Parameters
+        ----------
+        image : (height, width) or (height, width, 3) uint8
+            Grey or BGR; an odd last row or column is cut off.
+        stamp : int
+            Time [ns].
+        """
+        if self._context is None:
+            height, width = image.shape[:2]
+            self._context = av.CodecContext.create(ENCODERS[self._encoding.codec], 'w')
+            configure(self._context, self._encoding, width, height, Fraction(25))
+        picture = _picture(image, len(self._stamps), self._context.time_base)
+        self._stamps.append(stamp)
+        return self._packets(picture)
+
+    def flush(self) -> list[Packet]:
+        """Return the packets still held back."""
+        return [] if self._context is None else self._packets(None)
+
+    def _packets(self, picture) -> list[Packet]:
+        return [Packet(bytes(packet), self._stamps[packet.pts], bool(packet.is_keyframe),
+                       self._encoding.codec, b'') for packet in self._context.encode(picture)]
+
+
+def configure(context, encoding: Encoding, width: int, height: int, rate: Fraction):
+    """Set up an encoder's context; one thread, so that the same pictures give the same bytes."""
+    context.width, context.height = width // 2 * 2, height // 2 * 2
+    context.pix_fmt = 'yuv420p'
+    context.time_base, context.framerate = 1 / rate, rate
+    context.gop_size = encoding.gop
+    context.max_b_frames = encoding.b_frames
+    context.thread_count = 1
+    context.options = {**PRESETS[encoding.codec], **encoding.options}
+
+
+def encode(images: Iterable[np.ndarray], fps: float,
+           encoding: Encoding | None = None) -> Iterator[Packet]:
+    """Yield the packets of pictures taken at a fixed rate [1/s]; the first has stamp 0."""
+    encoder = ImageEncoder(encoding)
+    for i, image in enumerate(images):
+        yield from encoder.feed(image, round(i * 1e9 / fps))
+    yield from encoder.flush()
+
+
+def write_video(path: str | Path, images: Iterable[np.ndarray], fps: float,
+                encoding: Encoding | None = None):
+    """Write pictures to a video file; its suffix (.mp4, .mpg, .mkv) chooses the container."""
+    encoding = encoding or Encoding()
+    rate = Fraction(fps).limit_denominator(1001)
+    with av.open(str(path), 'w') as container:
+        stream = container.add_stream(ENCODERS[encoding.codec], rate=rate)
+        for i, image in enumerate(images):
+            if not i:
+                height, width = image.shape[:2]
+                configure(stream.codec_context, encoding, width, height, rate)
+            container.mux(stream.encode(_picture(image, i, 1 / rate)))
+        container.mux(stream.encode(None))
+
+
+def _picture(image: np.ndarray, number: int, time_base: Fraction) -> av.VideoFrame:
+    height, width = (size // 2 * 2 for size in image.shape[:2])
+    kind = 'gray' if image.ndim == 2 else 'bgr24'
+    picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image[:height, :width]), kind)
+    picture = picture.reformat(format='yuv420p')
+    picture.pts, picture.time_base = number, time_base
+    return picture
