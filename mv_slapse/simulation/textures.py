@@ -92,7 +92,7 @@ def _glass(pane: np.ndarray, rng: np.random.Generator):
 
 
 def _asphalt(rng: np.random.Generator) -> np.ndarray:
-    tile = 98 + 5 * noise(rng, 1.0) + 3.5 * noise(rng, 0.3) + 3 * noise(rng, 1.2, 0.15)
+    tile = 98 + 7 * noise(rng, 1.0) + 5 * noise(rng, 0.3) + 4 * noise(rng, 1.2, 0.15)
     mask = np.zeros((SIZE, SIZE), np.uint8)
     for _ in range(7):
         walk = np.cumsum(rng.normal(0, 14, (60, 2)) + rng.normal(0, 6, 2), 0)
@@ -116,25 +116,25 @@ def _patch(rng: np.random.Generator) -> np.ndarray:
 
 def _brick(rng: np.random.Generator) -> np.ndarray:
     value, joints = _cells(rng, 64, 32, 2, bond=True)
-    tile = 105 + 10 * value + 40 * joints + 9 * noise(rng, 1.0)
+    tile = 105 + 7 * value + 25 * joints + 5 * noise(rng, 1.0)
     _windows(tile, rng, 3, 3, (0.55, 0.42))
     return tile
 
 
 def _plaster(rng: np.random.Generator) -> np.ndarray:
-    tile = 165 + 12 * noise(rng, 1.1) + 5 * noise(rng, 0.4) - 7 * (noise(rng, 1.0, 0.1) > 1.5)
+    tile = 165 + 5 * noise(rng, 1.1) + 2 * noise(rng, 0.4) - 4 * (noise(rng, 1.0, 0.1) > 1.5)
     _windows(tile, rng, 3, 3, (0.5, 0.36))
     return tile
 
 
 def _office(rng: np.random.Generator) -> np.ndarray:
-    tile = 140 + 8 * noise(rng, 1.0)
+    tile = 140 + 4 * noise(rng, 1.0)
     _windows(tile, rng, 4, 6, (0.62, 0.74))
     return tile
 
 
 def _shops(rng: np.random.Generator) -> np.ndarray:
-    tile = 150 + 10 * noise(rng, 1.0) + 4 * noise(rng, 0.3)
+    tile = 150 + 5 * noise(rng, 1.0) + 2 * noise(rng, 0.3)
     _windows(tile, rng, 3, 5, (0.5, 0.4), 0.0, 0.72)
     _windows(tile, rng, 1, 4, (0.8, 0.85), 0.8, 1.0)
     for left in range(0, SIZE, SIZE // 4):
@@ -148,13 +148,13 @@ def _shops(rng: np.random.Generator) -> np.ndarray:
 
 def _panels(rng: np.random.Generator) -> np.ndarray:
     value, joints = _cells(rng, 16, 8, 4)
-    tile = 150 + 12 * value - 45 * joints + 8 * noise(rng, 1.0, 0.2)
+    tile = 150 + 7 * value - 35 * joints + 4 * noise(rng, 1.0, 0.2)
     _windows(tile, rng, 4, 2, (0.4, 0.6))
     return tile
 
 
 def _tower(rng: np.random.Generator) -> np.ndarray:
-    tile = 135 + 10 * noise(rng, 1.0)
+    tile = 135 + 5 * noise(rng, 1.0)
     _windows(tile, rng, 7, 8, (0.6, 0.6))
     return tile
 
@@ -166,7 +166,7 @@ def _sky(rng: np.random.Generator) -> np.ndarray:
 def _bodywork(rng: np.random.Generator) -> np.ndarray:
     """Return painted sheet metal: reflections and dirt, darker to the ground."""
     dirt = np.linspace(0, 1, SIZE)[:, None] ** 3
-    return 128 + 9 * noise(rng, 1.2, 0.3) + 4 * noise(rng, 0.6) - 35 * dirt
+    return 128 + 6 * noise(rng, 1.2, 0.3) + 2.5 * noise(rng, 0.6) - 35 * dirt
 
 
 def _box(tile: np.ndarray, v0: float, v1: float, u0: float, u1: float) -> np.ndarray:

@@ -1,0 +1,170 @@
+"""The truth of a rendered street, frame by frame and as the folder that ``eval`` reads.
+
+A macroblock has the label of the surface that covers more than half of it. INFINITY is the sky
+alone: whether a far wall shows parallax depends on the pair of frames, which is not known here.
+"""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+from mv_slapse.records import Label
+from mv_slapse.simulation.drawn import BLOCK, block_centres, labels
+from mv_slapse.simulation.render import Renderer
+from mv_slapse.simulation.street import Plane, Street
+from mv_slapse.simulation.surfaces import SKY
+from mv_slapse.storage.tum import format_row, format_stamp
+import numpy as np
+
+VISIBLE = 64   # a mover with fewer pixels is not visible
+MOVERS_HEADER = 'stamp,id,x,y,width,height,px,py,pz,vx,vy,vz,ttc,n_macroblocks'
+CLOSING = 1e-3   # slower is not closing [m/s]
+NONE = -2   # a block that no surface covers by more than half
+
+
+class MoverTruth(NamedTuple):
+    """A mover in one frame.
+
+    Attributes
+    ----------
+    stamp, id : int, int
+        [ns].
+    box : (4,) ndarray
+        x, y of the top left pixel, width, height of what is visible [px].
+    position, velocity : (3,) float64
+        Of the centre of the face towards the camera, in {W} [m], [m/s].
+    time_to_contact : float
+        Until the camera is in the plane of that face [s]; inf if it never will be.
+    n_macroblocks : int
+        Blocks it covers by more than half.
+    """
+
+    stamp: int
+    id: int
+    box: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    time_to_contact: float
+    n_macroblocks: int
+
+
+class TruthRecorder:
+    """Collects the truth of the frames that are rendered, and writes it."""
+
+    def __init__(self, street: Street):
+        """Start empty."""
+        self._street = street
+        self._rows: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self._movers: list[MoverTruth] = []
+        self._surfaces: list[np.ndarray] = []
+        self._labels: list[np.ndarray] = []
+
+    def add(self, i: int, surface: np.ndarray):
+        """Take frame i, of whose pixels ``surface`` (H, W) tells what they show."""
+        street = self._street
+        blocks = block_surfaces(surface)
+        label = np.where(blocks == NONE, Label.UNKNOWN, labels(street, blocks, street.time(i)))
+        self._rows.append((street.stamp(i), *street.pose(i)))
+        self._movers += mover_truths(street, i, surface, blocks)
+        self._surfaces.append(np.where(blocks == NONE, SKY, blocks).astype(np.int32))
+        self._labels.append(label.astype(np.int8))
+
+    def write(self, folder: Path):
+        """Write ground_truth.tum, scene.json, movers.csv and truth_labels.npz."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / 'ground_truth.tum').write_text(
+            ''.join(format_row(*row) + '\n' for row in self._rows))
+        (folder / 'scene.json').write_text(json.dumps(scene(self._street), indent=1) + '\n')
+        rows = [MOVERS_HEADER, *(_row(mover) for mover in self._movers)]
+        (folder / 'movers.csv').write_text('\n'.join(rows) + '\n')
+        x, y = block_centres(self._street.camera.width, self._street.camera.height).T
+        np.savez_compressed(folder / 'truth_labels.npz',
+                            stamp=np.array([row[0] for row in self._rows]) * 1e-9, x=x, y=y,
+                            label=np.array(self._labels), plane=np.array(self._surfaces))
+
+
+def film(street: Street, folder: Path) -> Iterator[np.ndarray]:
+    """Yield the grey pictures (H, W) uint8 of a street; after the last the truth is written."""
+    recorder = TruthRecorder(street)
+    for i, frame in enumerate(Renderer(street).frames()):
+        recorder.add(i, frame.surface)
+        yield frame.image
+    recorder.write(Path(folder))
+
+
+def block_surfaces(surface: np.ndarray) -> np.ndarray:
+    """Return the surface (M,) that covers more than half of each macroblock, else NONE.
+
+    ``surface`` (H, W) int is that of each pixel; blocks cut by the border do not count.
+    """
+    rows, columns = surface.shape[0] // BLOCK, surface.shape[1] // BLOCK
+    whole = surface[:rows * BLOCK, :columns * BLOCK] - SKY
+    ids = np.flatnonzero(np.bincount(whole.ravel()))   # np.unique would sort all pixels
+    number = np.zeros(ids[-1] + 1, int)
+    number[ids] = np.arange(len(ids))
+    tiled = number[whole].reshape(rows, BLOCK, columns, BLOCK).swapaxes(1, 2)
+    tiled = tiled.reshape(-1, BLOCK ** 2)
+    cell = np.arange(len(tiled))[:, None] * len(ids) + tiled
+    counts = np.bincount(cell.ravel(), minlength=len(tiled) * len(ids)).reshape(-1, len(ids))
+    return np.where(counts.max(1) > BLOCK ** 2 / 2, ids[counts.argmax(1)] + SKY, NONE)
+
+
+def mover_truths(street: Street, i: int, surface: np.ndarray,
+                 blocks: np.ndarray) -> list[MoverTruth]:
+    """Return the visible movers of frame i, given what pixels and blocks show."""
+    found = []
+    for id_ in (car.id for car in street.movers):
+        rows, columns = np.nonzero(surface == id_)
+        if len(rows) < VISIBLE:
+            continue
+        x, y = columns.min(), rows.min()
+        box = np.array([x, y, columns.max() - x + 1, rows.max() - y + 1])
+        found.append(MoverTruth(street.stamp(i), id_, box, *_kinematics(street, id_, i),
+                                int(np.sum(blocks == id_))))
+    return found
+
+
+def scene(street: Street) -> dict:
+    """Return the content of scene.json: planes and movers in {W}."""
+    return {
+        'schema_version': 1, 'camera_height': street.settings.camera_height,
+        'width': street.camera.width, 'height': street.camera.height, 'fps': street.settings.fps,
+        'planes': [{'id': plane.id, 'name': plane.name, 'normal': plane.normal.tolist(),
+                    'depth': plane.depth, 'polygon': outline(plane).tolist()}
+                   for plane in street.planes],
+        'movers': [{'id': car.id, 'name': car.name} for car in street.movers],
+        'settings': asdict(street.settings)}
+
+
+def outline(plane: Plane) -> np.ndarray:
+    """Return the convex hull (M, 3) of all parts of a plane in {W} [m]."""
+    first = np.eye(3)[np.abs(plane.normal).argmin()]
+    u = np.cross(plane.normal, first)
+    u /= np.linalg.norm(u)
+    basis = np.stack([u, np.cross(plane.normal, u)])
+    flat = (plane.corners @ basis.T).astype(np.float32)
+    hull = cv2.convexHull(flat, returnPoints=False)[:, 0]
+    return plane.corners[hull]
+
+
+def _kinematics(street: Street, id_: int, i: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return position and velocity of the face towards the camera in {W}, and time to contact."""
+    time, h = street.time(i), 1e-4
+    eye = street.ride.pose(time)[1]
+    # The camera's way has no closed derivative where it sways on an arc; h^2 errors are < 1e-6.
+    eye_velocity = (street.ride.pose(time + h)[1] - street.ride.pose(time - h)[1]) / (2 * h)
+    face = street.mover(id_).face_towards(eye, time)
+    gap = face.normal @ (eye - face.centre)
+    closing = face.normal @ (face.velocity - eye_velocity)
+    contact = gap / closing if closing > CLOSING and gap > 0 else np.inf
+    R, t = street.R_world_from_street, street.t_world_from_street
+    return R @ face.centre + t, R @ face.velocity, float(contact)
+
+
+def _row(mover: MoverTruth) -> str:
+    numbers = [*mover.box, *mover.position, *mover.velocity, mover.time_to_contact]
+    values = ','.join(f'{value:.9g}' for value in numbers)
+    return f'{format_stamp(mover.stamp)},{mover.id},{values},{mover.n_macroblocks}'
