@@ -1,0 +1,95 @@
+"""Video in, everything out, in one process: arrays are passed in memory."""
+
+from mv_slapse import fields
+from mv_slapse.config import (
+    DecoderSettings,
+    ExtractionSettings,
+    ObstacleSettings,
+    SceneSettings,
+    Settings,
+)
+from mv_slapse.geometry.camera import Camera
+from mv_slapse.nodes.archive import Archive
+from mv_slapse.nodes.conversions import to_message
+from mv_slapse.nodes.decoding import Decoding
+from mv_slapse.nodes.extrinsics import Extrinsics
+from mv_slapse.nodes.gate import Gate
+from mv_slapse.nodes.handovers import Handovers
+from mv_slapse.nodes.health import every
+from mv_slapse.nodes.obstacle_output import ObstacleOutput
+from mv_slapse.nodes.qos import RELIABLE
+from mv_slapse.nodes.scene_output import SceneOutput
+from mv_slapse.nodes.shell import run, Shell
+from mv_slapse.pipeline import Slapse, Step
+from mv_slapse.records import Correspondences
+from mv_slapse_msgs.msg import Correspondences as CorrespondencesMsg
+from mv_slapse_msgs.msg import PlaneObservations
+
+HELD = 100  # pairs kept until the camera's place on the robot is known
+
+
+class AllInOneNode(Shell):
+    """ROS side of Slapse."""
+
+    def __init__(self, **kwargs):
+        """Join the topics."""
+        super().__init__('all_in_one', **kwargs)
+        self._slapse: Slapse | None = None
+        self._extrinsics, self._archive = Extrinsics(self), Archive(self)
+        self._correspondences = self.create_publisher(CorrespondencesMsg, 'correspondences',
+                                                      RELIABLE)
+        self._observations = self.create_publisher(PlaneObservations, 'planes/observations',
+                                                   RELIABLE)
+        self._scene, self._obstacles = SceneOutput(self), ObstacleOutput(self)
+        self._handovers = Handovers(self, None)
+        self._gate = Gate(self._is_ready, self._step, HELD)
+        every(self, 0.1, lambda: self.attempt('video', self._gate.drain))
+        self._decoding = Decoding(self, self._gate, self._on_camera)
+
+    def restart(self):
+        """Begin a new trajectory and a new map."""
+        self._decoding.restart()
+        self._gate.clear()
+        for part in (self._scene, self._archive):
+            part.restart()
+        if self._slapse is not None:
+            self._slapse = Slapse(self._slapse.camera, self._core_settings())
+
+    def destroy_node(self):
+        """Stop the reader of a source first."""
+        self._decoding.close()
+        super().destroy_node()
+
+    def _core_settings(self) -> Settings:
+        kinds = DecoderSettings, ExtractionSettings, SceneSettings, ObstacleSettings
+        return Settings(*(self.settings[kind] for kind in kinds))
+
+    def _on_camera(self, camera: Camera):
+        self._slapse = Slapse(camera, self._core_settings())
+
+    def _is_ready(self, _record: Correspondences, frame: str) -> bool:
+        return self._extrinsics.frames(frame) is not None
+
+    def _step(self, record: Correspondences, frame: str):
+        step, frames = self._slapse.step(record), self._extrinsics.frames(frame)
+        self._archive.add(step.scene, record.previous_stamp)
+        self._publish(step, frames)
+
+    def _publish(self, step: Step, frames):
+        self._correspondences.publish(to_message(
+            CorrespondencesMsg, fields.correspondences_to_fields(step.correspondences, frames)))
+        self._observations.publish(to_message(
+            PlaneObservations, fields.extraction_to_fields(step.extraction, frames)))
+        self._handovers.publish(step.handovers, frames)
+        self._scene.publish(step.scene, frames)
+        self._obstacles.publish(step.scene.stamp, list(step.obstacles), step.scene.scale_status,
+                                frames)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is told to stop; return the exit code."""
+    return run(AllInOneNode, args)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

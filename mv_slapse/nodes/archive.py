@@ -1,0 +1,73 @@
+"""~/save_map and ~/save_trajectory: what slam knows, as the files of the command line."""
+
+from array import array
+import os
+from pathlib import Path
+
+from mv_slapse.nodes.settings import SceneOutputSettings
+from mv_slapse.nodes.shell import Shell
+from mv_slapse.records import SceneEstimate
+from mv_slapse.storage import tum
+from mv_slapse.storage.results import MapArchive, WITH_POSE, write_json
+import numpy as np
+from std_srvs.srv import Trigger
+
+
+class Archive:
+    """Trajectory and map since the start, written when a service asks for them."""
+
+    def __init__(self, node: Shell):
+        """Offer the services; where the files go is a read-only parameter, no request says it."""
+        self._folder = _folder(node.settings[SceneOutputSettings].output_directory)
+        self.restart()
+        node.create_service(Trigger, '~/save_map', self._on_save_map)
+        node.create_service(Trigger, '~/save_trajectory', self._on_save_trajectory)
+
+    def restart(self):
+        """Forget everything."""
+        self._map = MapArchive()
+        self._stamps, self._poses = array('q'), array('d')
+
+    def add(self, scene: SceneEstimate, previous_stamp: int):
+        """Take the estimate of a key frame; the first pair also gives the first key frame."""
+        self._map.add(scene)
+        if scene.status not in WITH_POSE:
+            return
+        if not self._stamps:
+            self._add_pose(previous_stamp, np.eye(3), np.zeros(3))
+        self._add_pose(scene.stamp, scene.R_world_from_cam, scene.t_world_from_cam)
+
+    def _add_pose(self, stamp: int, R: np.ndarray, t: np.ndarray):
+        self._stamps.append(stamp)
+        self._poses.extend([*R.ravel(), *t])
+
+    def _on_save_map(self, _request, response):
+        return self._save(response, 'map.json', lambda path: write_json(
+            path, self._map.content()))
+
+    def _on_save_trajectory(self, _request, response):
+        return self._save(response, 'trajectory.tum', self._write_trajectory)
+
+    def _write_trajectory(self, path: Path):
+        poses = np.reshape(self._poses, (-1, 12))
+        rows = [tum.format_row(stamp, pose[:9].reshape(3, 3), pose[9:])
+                for stamp, pose in zip(self._stamps, poses, strict=True)]
+        path.write_text(''.join(row + '\n' for row in rows))
+
+    def _save(self, response, name: str, write):
+        path = self._folder / name
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            write(path)
+            response.success, response.message = True, str(path)
+        except OSError as error:
+            response.success = False
+            response.message = (f'{path} cannot be written: {error.strerror}; start the node '
+                                'with another output_directory')
+        return response
+
+
+def _folder(parameter: str) -> Path:
+    if parameter:
+        return Path(parameter).expanduser()
+    return Path(os.environ.get('ROS_HOME') or Path.home() / '.ros') / 'mv_slapse'

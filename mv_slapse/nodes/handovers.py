@@ -1,0 +1,51 @@
+"""Planes that change their label, on ``planes/handover`` between slam and obstacle_tracker."""
+
+from collections.abc import Iterable
+
+from mv_slapse import fields
+from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.nodes.conversions import to_message
+from mv_slapse.nodes.qos import RELIABLE, subscribe
+from mv_slapse.nodes.shell import Shell
+from mv_slapse.records import Label, PlaneHandover
+from mv_slapse_msgs.msg import PlaneHandover as PlaneHandoverMsg
+
+TOPIC = 'planes/handover'
+
+
+class Handovers:
+    """Sends hand-overs and keeps those that come until the key frame after their decision."""
+
+    def __init__(self, node: Shell, to_label: Label | None):
+        """Take hand-overs to ``to_label``; None: send only."""
+        self._pending: list[PlaneHandoverMsg] = []
+        self._to_label = to_label
+        self._publisher = node.create_publisher(PlaneHandoverMsg, TOPIC, RELIABLE)
+        if to_label is not None:
+            subscribe(node, PlaneHandoverMsg, TOPIC, self._on_message)
+
+    def restart(self):
+        """Forget what is pending."""
+        self._pending = []
+
+    def publish(self, handovers: Iterable[PlaneHandover], frames: RosFrames):
+        """Send hand-overs to the other filter."""
+        for handover in handovers:
+            self._publisher.publish(to_message(
+                PlaneHandoverMsg, fields.handover_to_fields(handover, frames)))
+
+    def due(self, stamp: int, frames: RosFrames) -> list[PlaneHandover]:
+        """Return the hand-overs decided before ``stamp`` [ns], sorted; they are kept no longer.
+
+        One decided at key frame k takes effect at k + 1, as in the pipeline, however fast the
+        message was.
+        """
+        records = [fields.handover_from_message(msg, frames) for msg in self._pending]
+        pending = [r.stamp >= stamp for r in records]
+        self._pending = [m for m, wait in zip(self._pending, pending, strict=True) if wait]
+        due = [r for r, wait in zip(records, pending, strict=True) if not wait]
+        return sorted(due, key=lambda record: (record.stamp, record.id))
+
+    def _on_message(self, msg: PlaneHandoverMsg):
+        if msg.to_label == self._to_label:
+            self._pending.append(msg)

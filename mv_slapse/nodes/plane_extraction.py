@@ -1,0 +1,61 @@
+"""Merged motion vectors in; camera motion and labelled planes of each key frame pair out."""
+
+from mv_slapse import fields
+from mv_slapse.config import ExtractionSettings
+from mv_slapse.geometry.camera import Camera
+from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.nodes.camera_input import CameraInput
+from mv_slapse.nodes.conversions import to_message
+from mv_slapse.nodes.gate import Gate
+from mv_slapse.nodes.qos import RELIABLE, subscribe
+from mv_slapse.nodes.shell import run, Shell
+from mv_slapse.planes.extractor import PlaneExtractor
+from mv_slapse_msgs.msg import Correspondences, PlaneObservations
+
+TOPIC = 'correspondences'
+HELD = 100  # pairs kept until the camera is known
+
+
+class PlaneExtractionNode(Shell):
+    """ROS side of PlaneExtractor."""
+
+    def __init__(self, **kwargs):
+        """Join the topics."""
+        super().__init__('plane_extraction', **kwargs)
+        self._extractor: PlaneExtractor | None = None
+        self._publisher = self.create_publisher(PlaneObservations, 'planes/observations',
+                                                RELIABLE)
+        self._gate = Gate(lambda *_: self._extractor is not None, self._extract, HELD)
+        self._camera = CameraInput(self, self._on_camera)
+        self.health.watch(TOPIC, 'start the decoder node in the same namespace')
+        subscribe(self, Correspondences, TOPIC, self.guarded(TOPIC, self._gate))
+
+    def restart(self):
+        """Forget all planes."""
+        if self._camera.camera is not None:
+            self._extractor = PlaneExtractor(self._camera.camera,
+                                             self.settings[ExtractionSettings])
+
+    def _on_camera(self, camera: Camera):
+        self._extractor = PlaneExtractor(camera, self.settings[ExtractionSettings])
+        self._gate.drain()
+
+    def _extract(self, msg: Correspondences):
+        extraction = self._extractor.extract(fields.correspondences_from_message(msg))
+        self.health.count('key frame pairs')
+        self.health.value('planes', len(extraction.planes))
+        if extraction.reason:
+            self.health.warning('motion', f'camera motion is not known: {extraction.reason}')
+        else:
+            self.health.solved('motion')
+        self._publisher.publish(to_message(PlaneObservations, fields.extraction_to_fields(
+            extraction, RosFrames(camera=msg.header.frame_id))))
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is told to stop; return the exit code."""
+    return run(PlaneExtractionNode, args)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,109 @@
+"""Observations, odometry and map of one stamp, joined again into a scene; free of ROS."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from mv_slapse.fields import scene_from_messages, stamp_from_message
+from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.records import Extraction, SceneEstimate, TrackingStatus
+from mv_slapse.storage.results import WITH_POSE
+import numpy as np
+
+BOUND = 100  # messages kept on each topic
+
+Complete = Callable[[Any, Any, Any], None]
+
+
+class SceneJoin:
+    """Calls ``complete(observations, odometry, plane_map)`` in order of the observations' stamps.
+
+    ``odometry`` is None where the map says that there is no pose. Where the map of a stamp was
+    lost on the way (it is latched, so only the newest is kept for late readers) the one before
+    stands in; where the odometry was lost the observations are dropped.
+    """
+
+    def __init__(self, complete: Complete, dropped: Callable[[], None] = lambda: None):
+        """Begin empty; ``dropped`` is called for each observation that finds no partner."""
+        self._complete, self._dropped = complete, dropped
+        self.restart()
+
+    def restart(self):
+        """Forget all messages."""
+        self._observations: dict[int, Any] = {}
+        self._odometry: dict[int, Any] = {}
+        self._maps: dict[int, Any] = {}
+
+    def add_observations(self, msg: Any):
+        """Take observations."""
+        self._add(self._observations, msg)
+
+    def add_odometry(self, msg: Any):
+        """Take a pose."""
+        self._add(self._odometry, msg)
+
+    def add_map(self, msg: Any):
+        """Take a map."""
+        self._add(self._maps, msg)
+
+    def _add(self, messages: dict[int, Any], msg: Any):
+        messages[stamp_from_message(msg.header.stamp)] = msg
+        while len(messages) > BOUND:
+            messages.pop(min(messages))
+        while self._observations and self._join(min(self._observations)):
+            pass
+
+    def _join(self, stamp: int) -> bool:
+        """Complete or drop the observations of ``stamp``; return whether that was possible."""
+        odometry, plane_map = self._odometry.get(stamp), self._maps.get(stamp)
+        if plane_map is None and odometry is not None and self._is_overdue(stamp):
+            earlier = [at for at in self._maps if at < stamp]
+            plane_map = self._maps[max(earlier)] if earlier else None
+        has_pose = plane_map is not None and plane_map.tracking in WITH_POSE
+        if plane_map is not None and (odometry is not None or not has_pose):
+            self._complete(self._observations.pop(stamp), odometry, plane_map)
+        elif self._is_overdue(stamp):
+            self._observations.pop(stamp)
+            self._dropped()
+        else:
+            return False
+        self._forget_before(stamp)
+        return True
+
+    def _is_overdue(self, stamp: int) -> bool:
+        """Return whether both topics have gone on to later stamps, or one far beyond."""
+        later = [sum(at > stamp for at in messages) for messages in (self._odometry, self._maps)]
+        return min(later) > 0 or max(later) > 5
+
+    def _forget_before(self, stamp: int):
+        for messages in (self._odometry, self._maps):
+            for at in [at for at in messages if at < stamp]:
+                if messages is self._odometry or len(messages) > 1:
+                    del messages[at]
+
+
+class SceneMemory:
+    """Scenes from messages, with what the messages do not say taken from the scene before."""
+
+    def __init__(self):
+        """Begin at the first key frame, whose pose is the identity."""
+        self._last: SceneEstimate | None = None
+
+    def scene(self, extraction: Extraction, odometry: Any, plane_map: Any,
+              frames: RosFrames) -> SceneEstimate | None:
+        """Return the scene of a key frame; without a pose the last one, None before the first."""
+        if odometry is None:
+            status = TrackingStatus(plane_map.tracking)
+            return self._last and replace(self._last, stamp=extraction.stamp, status=status,
+                                          reason=plane_map.reason, baseline=0.0)
+        scene = scene_from_messages(odometry, plane_map, frames)
+        self._last = replace(scene, baseline=self._baseline(scene, extraction.previous_stamp))
+        return self._last
+
+    def _baseline(self, scene: SceneEstimate, previous_stamp: int) -> float:
+        """Return the distance to the pose before, by the velocity where that is not known."""
+        if self._last is not None and self._last.stamp != previous_stamp:
+            dt = (scene.stamp - previous_stamp) / 1e9
+            return float(np.linalg.norm(scene.velocity_world) * dt)
+        before = self._last.t_world_from_cam if self._last is not None else np.zeros(3)
+        return float(np.linalg.norm(scene.t_world_from_cam - before))

@@ -1,0 +1,118 @@
+"""What slam publishes: pose, twist, path, transform and map."""
+
+from collections import deque
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistWithCovarianceStamped
+from mv_slapse import fields
+from mv_slapse.geometry import ros_frames
+from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.nodes import markers
+from mv_slapse.nodes.conversions import bounded_covariance, stamp_to_msg, to_message
+from mv_slapse.nodes.extrinsics import tf_message_type
+from mv_slapse.nodes.qos import LATCHED, RELIABLE
+from mv_slapse.nodes.settings import FrameSettings, SceneOutputSettings
+from mv_slapse.nodes.shell import Shell
+from mv_slapse.records import ScaleStatus, SceneEstimate, TrackingStatus
+from mv_slapse.storage.results import WITH_POSE
+from mv_slapse_msgs.msg import PlaneMap
+from nav_msgs.msg import Odometry, Path
+from visualization_msgs.msg import MarkerArray
+
+
+class SceneOutput:
+    """Publishes scene estimates, and no pose that is not known.
+
+    While INITIALISING or LOST there is no odometry, pose, twist or transform: only ``planes/map``
+    goes on and says so.
+    """
+
+    def __init__(self, node: Shell):
+        """Advertise the topics."""
+        self._node, self._settings = node, node.settings[SceneOutputSettings]
+        self._odometry = node.create_publisher(Odometry, 'odometry', RELIABLE)
+        self._pose = node.create_publisher(PoseWithCovarianceStamped, 'pose', RELIABLE)
+        self._twist = node.create_publisher(TwistWithCovarianceStamped, 'twist', RELIABLE)
+        self._path = node.create_publisher(Path, 'path', RELIABLE)
+        self._map = node.create_publisher(PlaneMap, 'planes/map', LATCHED)
+        self._markers = node.create_publisher(MarkerArray, 'planes/map_markers', LATCHED)
+        self._tf_type = tf_message_type()
+        if self._tf_type is None:
+            node.get_logger().warning('no /tf: the package tf2_msgs is not installed (sudo apt '
+                                      'install ros-jazzy-tf2-msgs)')
+        else:
+            self._tf = node.create_publisher(self._tf_type, '/tf', RELIABLE)
+        self.restart()
+
+    def restart(self):
+        """Forget the path."""
+        self._poses: deque[PoseStamped] = deque(maxlen=self._settings.path_length)
+        self._path_due = 0
+        self._shown = markers.Markers(self._node.settings[FrameSettings].odom_frame, 0.0)
+
+    def publish(self, scene: SceneEstimate, frames: RosFrames):
+        """Publish an estimate; the transform goes before the data of the same stamp."""
+        if scene.status in WITH_POSE:
+            self._publish_pose(scene, frames)
+            self._publish_path(scene, frames)
+        self._map.publish(to_message(PlaneMap, fields.plane_map_to_fields(scene, frames)))
+        self._publish_markers(scene, frames)
+        self._report(scene)
+
+    def _publish_pose(self, scene: SceneEstimate, frames: RosFrames):
+        if self._tf_type is not None:
+            transform = fields.transform_to_fields(scene, frames)
+            self._tf.publish(to_message(self._tf_type, {'transforms': [transform]}))
+        odometry = fields.odometry_to_fields(scene, frames)
+        for part in ('pose', 'twist'):
+            odometry[part]['covariance'] = bounded_covariance(odometry[part]['covariance'])
+        msg = to_message(Odometry, odometry)
+        self._odometry.publish(msg)
+        self._pose.publish(PoseWithCovarianceStamped(header=msg.header, pose=msg.pose))
+        twist = TwistWithCovarianceStamped(twist=msg.twist)
+        twist.header.stamp, twist.header.frame_id = msg.header.stamp, frames.base
+        self._twist.publish(twist)
+
+    def _publish_path(self, scene: SceneEstimate, frames: RosFrames):
+        """Publish the path now and then: its cost grows with its length."""
+        self._poses.append(to_message(PoseStamped, fields.pose_stamped_to_fields(scene, frames)))
+        if scene.stamp < self._path_due:
+            return
+        self._path_due = scene.stamp + int(self._settings.path_period * 1e9)
+        path = Path(poses=list(self._poses))
+        path.header.frame_id, path.header.stamp = frames.odom, stamp_to_msg(scene.stamp)
+        self._path.publish(path)
+
+    def _publish_markers(self, scene: SceneEstimate, frames: RosFrames):
+        shown = [markers.surface('planes', plane.id,
+                                 ros_frames.points_to_odom(plane.outline, frames),
+                                 markers.GROUND if plane.is_ground else markers.WALL)
+                 for plane in scene.planes if len(plane.outline) > 2]
+        self._markers.publish(self._shown.array(scene.stamp, shown))
+
+    def _report(self, scene: SceneEstimate):
+        health = self._node.health
+        health.value('tracking', scene.status.name)
+        health.value('planes in the map', len(scene.planes))
+        health.value('scale', f'{scene.scale_status.name.lower()} ({scene.scale_source})')
+        if scene.status == TrackingStatus.OK:
+            health.solved('tracking')
+        else:
+            level = (DiagnosticStatus.ERROR if scene.status == TrackingStatus.LOST
+                     else DiagnosticStatus.WARN)
+            health.problem('tracking', _advice(scene), level)
+        if scene.scale_status == ScaleStatus.UNKNOWN:
+            health.warning('scale', 'the scale is not known, lengths have no unit: set '
+                           'scene.camera_height')
+        else:
+            health.solved('scale')
+
+
+def _advice(scene: SceneEstimate) -> str:
+    to_do = {
+        TrackingStatus.INITIALISING: 'move the camera',
+        TrackingStatus.PREDICTED: 'the pose is a prediction; check correspondences and '
+                                  'planes/observations if this lasts',
+        TrackingStatus.LOST: 'no pose is published; check the video, it recovers by itself on '
+                             'good input, or call ~/reset'}[scene.status]
+    return f'{scene.status.name.lower()}: {scene.reason or "no reason given"}; {to_do}'

@@ -1,0 +1,64 @@
+"""Observed planes in; pose, twist, transform and plane map out."""
+
+from mv_slapse import fields
+from mv_slapse.config import SceneSettings
+from mv_slapse.filters.scene import SceneFilter
+from mv_slapse.nodes.archive import Archive
+from mv_slapse.nodes.extrinsics import Extrinsics
+from mv_slapse.nodes.gate import Gate
+from mv_slapse.nodes.handovers import Handovers
+from mv_slapse.nodes.health import every
+from mv_slapse.nodes.qos import RELIABLE, subscribe
+from mv_slapse.nodes.scene_output import SceneOutput
+from mv_slapse.nodes.shell import run, Shell
+from mv_slapse.records import Label
+from mv_slapse_msgs.msg import PlaneObservations
+
+TOPIC = 'planes/observations'
+HELD = 100  # pairs kept until the camera's place on the robot is known
+
+
+class SlamNode(Shell):
+    """ROS side of SceneFilter."""
+
+    def __init__(self, **kwargs):
+        """Join the topics."""
+        super().__init__('slam', **kwargs)
+        self._extrinsics = Extrinsics(self)
+        self._output, self._archive = SceneOutput(self), Archive(self)
+        self._handovers = Handovers(self, Label.STATIONARY)
+        self._gate = Gate(self._is_ready, self._step, HELD)
+        self.restart()
+        every(self, 0.1, lambda: self.attempt(TOPIC, self._gate.drain))
+        self.health.watch(TOPIC, 'start the plane_extraction node in the same namespace')
+        subscribe(self, PlaneObservations, TOPIC, self.guarded(TOPIC, self._gate), RELIABLE)
+
+    def restart(self):
+        """Begin a new trajectory and a new map."""
+        self._filter, self._newest = SceneFilter(self.settings[SceneSettings]), 0
+        for part in (self._output, self._archive, self._handovers):
+            part.restart()
+
+    def _is_ready(self, msg: PlaneObservations) -> bool:
+        return self._extrinsics.frames(msg.header.frame_id) is not None
+
+    def _step(self, msg: PlaneObservations):
+        extraction = fields.extraction_from_message(msg)
+        if extraction.stamp < self._newest:
+            self.get_logger().warning('time went back (a bag played again?): starting anew')
+            self.restart()
+        self._newest = extraction.stamp
+        frames = self._extrinsics.frames(msg.header.frame_id)
+        scene, given = self._filter.step(extraction, self._handovers.due(self._newest, frames))
+        self._archive.add(scene, extraction.previous_stamp)
+        self._handovers.publish(given, frames)
+        self._output.publish(scene, frames)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is told to stop; return the exit code."""
+    return run(SlamNode, args)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
