@@ -134,7 +134,12 @@ def pose_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:
 
 def pose_stamped_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:
     """Return geometry_msgs/PoseStamped in odom, an entry of a nav_msgs/Path."""
-    return {'header': header(scene.stamp, frames.odom), 'pose': _pose(scene, frames)}
+    return camera_pose_to_fields(scene.stamp, _pose_of(scene), frames)
+
+
+def camera_pose_to_fields(stamp: int, world_from_cam: Pose, frames: RosFrames) -> Fields:
+    """Return geometry_msgs/PoseStamped in odom of a camera's pose in {W}."""
+    return {'header': header(stamp, frames.odom), 'pose': _pose(world_from_cam, frames)}
 
 
 def twist_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:
@@ -282,14 +287,14 @@ def _pose_of(scene: SceneEstimate) -> Pose:
     return Pose(scene.R_world_from_cam, scene.t_world_from_cam, scene.pose_covariance)
 
 
-def _pose(scene: SceneEstimate, frames: RosFrames) -> Fields:
-    pose = ros_frames.pose_to_odom(_pose_of(scene), frames)
+def _pose(world_from_cam: Pose, frames: RosFrames) -> Fields:
+    pose = ros_frames.pose_to_odom(world_from_cam, frames)
     return {'position': _named_xyz(pose.t), 'orientation': _quaternion(pose.R)}
 
 
 def _pose_with_covariance(scene: SceneEstimate, frames: RosFrames) -> Fields:
     covariance = ros_frames.pose_to_odom(_pose_of(scene), frames).covariance
-    return {'pose': _pose(scene, frames), 'covariance': _flat(covariance)}
+    return {'pose': _pose(_pose_of(scene), frames), 'covariance': _flat(covariance)}
 
 
 def _twist_with_covariance(scene: SceneEstimate, frames: RosFrames) -> Fields:

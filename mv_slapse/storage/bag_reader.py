@@ -15,6 +15,7 @@ from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.storage import messages
 from mv_slapse.video_messages import Picture
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
@@ -46,6 +47,8 @@ class BagReader:
     ----------
     topics : dict
         Topic to message type.
+    counts : dict
+        Topic to number of messages; empty where the bag is cut.
     is_cut : bool
         Whether the end of the bag is missing; what is whole before the cut is read.
     """
@@ -65,8 +68,11 @@ class BagReader:
             raise UnusableInput(f'{path} is a ROS 1 bag; convert it with: rosbags-convert '
                                 f'--src {path} --dst {self._path.stem}')
         self.is_cut = False
+        self.counts: dict[str, int] = {}
         try:
-            self.topics = _whole_topics(self._path)
+            connections = _connections(self._path)
+            self.topics = {c.topic: c.msgtype for c in connections}
+            self.counts = {c.topic: c.msgcount for c in connections}
         except (ReaderError, OSError, ValueError, AssertionError, sqlite3.Error) as error:
             self.is_cut = True
             self.topics = {raw.topic: raw.type for raw in _salvage(self._path)}
@@ -134,9 +140,9 @@ class BagReader:
         return name
 
 
-def _whole_topics(path: Path) -> dict[str, str]:
+def _connections(path: Path) -> list[Connection]:
     with Reader(path) as reader:
-        return {c.topic: c.msgtype for c in reader.connections}
+        return list(reader.connections)
 
 
 def _whole(path: Path, topics: Collection[str]) -> Iterator[Raw]:
