@@ -92,8 +92,34 @@ class SceneSettings(Checked):
     """Filter of camera and stationary planes, [SLAPSE] VI and [MVO] 5."""
 
     camera_height: float = setting(
-        0.0, 'm', 'height of the camera above the ground plane; 0: unknown, scale stays free',
-        0.0)
+        0.0, 'm', 'height of a camera that is rigidly mounted on a ground vehicle; 0: unknown, '
+        'the scale stays free', 0.0)
+    camera_height_sigma: float = setting(
+        0.02, '-', 'standard deviation of that height from key frame to key frame, as a share of '
+        'it: suspension and road', 1e-4, 1.0)
+    mounting_sigma: float = setting(
+        0.01, 'rad', 'standard deviation of the ground normal in a mounted camera from key frame '
+        'to key frame: pitch and roll on the suspension', 1e-4, 1.0)
+    acceleration: float = setting(
+        0.7, 'm/s^1.5', 'random walk of the velocity; with free scale a tenth of the speed is '
+        'taken', 0.0)
+    angular_acceleration: float = setting(
+        1.0, 'rad/s^1.5', 'random walk of the angular velocity', 0.0)
+    ground_slope: float = setting(
+        0.01, 'rad/m^0.5', 'random walk of the ground normal along the way; with free scale per '
+        'root of a thousandth of it', 0.0)
+    relief: float = setting(
+        0.03, '-', 'depth of a surface about its plane, as a share of depth', 0.0, 1.0)
+    dependence: float = setting(
+        6.0, '-', 'neighbouring motion vectors err together: so many tell as much as one '
+        'independent one', 1.0)
+    gate: float = setting(
+        16.3, '-', 'largest squared Mahalanobis distance of a plane observation, 99.9 % of '
+        'chi-square with 3 degrees of freedom', 1.0)
+    iterations: int = setting(4, '-', 'relinearisations of one update', 1, 50)
+    plane_lifetime: float = setting(2.0, 's', 'a plane is kept this long without support', 0.0)
+    lost_after: float = setting(
+        1.0, 's', 'without an accepted observation for this long the filter is LOST', 0.0)
 
 
 @dataclass(frozen=True)
@@ -102,6 +128,28 @@ class ObstacleSettings(Checked):
 
     lifetime: float = setting(0.5, 's', 'an obstacle expires this long after its last evidence',
                               0.0)
+    min_macroblocks: int = setting(4, '-', 'smallest support of a moving plane', 4)
+    gate: float = setting(0.999, '-', 'share of right detections inside the gate of a track', 0.5,
+                          0.999999)
+    acceleration: float = setting(
+        2.0, 'm/s^2', 'of obstacles, standard deviation; without metric scale taken as [1/s] '
+        'times a tenth of the speed', 0.0)
+    vector_bias: float = setting(
+        0.15, 'px', 'error that all vectors of a region share, which no averaging removes', 0.0)
+    correlation_time: float = setting(
+        0.4, 's', 'for which the outline of a region, and so its place and depth, is wrong alike',
+        0.0)
+    moving_confidence: float = setting(
+        0.999, '-', 'confidence at which a velocity differs from zero', 0.5, 0.999999)
+    confirm_time: float = setting(0.2, 's', 'evidence of motion that confirms an obstacle', 0.0)
+    confirm_pairs: int = setting(3, '-', 'key frame pairs with such evidence', 1)
+    confirm_window: float = setting(0.6, 's', 'in which these pairs must lie', 0.0)
+    min_speed: float = setting(
+        0.3, 'm/s', 'slowest obstacle that is confirmed, where scale is metric', 0.0)
+    still_time: float = setting(
+        0.5, 's', 'without evidence of motion, after which an obstacle joins the scene', 0.0)
+    still_speed: float = setting(
+        1.0, 'm/s', 'fastest estimate that may still be a standing obstacle', 0.0)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,136 @@
+"""Which detection continues which track: overlap of macroblocks and Mahalanobis distance."""
+
+from collections.abc import Sequence
+
+from mv_slapse.filters import ekf
+from mv_slapse.filters import obstacle_motion as om
+from mv_slapse.filters.detections import CELL, Detection
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.stats import chi2
+
+FORBIDDEN = 1e6
+OVERLAP_COST = 10.0  # of no overlap at all, against a squared distance
+MIN_OVERLAP = 0.1
+OTHER_ID_COST = 2.0
+RESCUE = 4.0  # a well overlapping detection may be this many gates off, and then counts less
+DEPTH_RATIO = (0.6, 1.6)  # between two surfaces of one vehicle
+
+
+def overlap(x: np.ndarray, other: np.ndarray) -> float:
+    """Return the share of the smaller region's lattice cells that both regions hold.
+
+    ``x`` (N, 2) and ``other`` (M, 2) are block centres [px].
+    """
+    a, b = _cells(x), _cells(other)
+    return len(a & b) / max(min(len(a), len(b)), 1)
+
+
+def _cells(x):
+    return set(map(tuple, (np.floor(x / CELL)).astype(int).tolist()))
+
+
+def observed(detection: Detection) -> np.ndarray:
+    """Return the elements (M,) int of the state that a detection is evidence of."""
+    return np.arange(om.SIZE) if detection.has_depth else np.array([0, 1, 3, 4, 5, 6, 7])
+
+
+def squared_distance(mu, P, detection: Detection) -> tuple[float, int]:
+    """Return the squared Mahalanobis distance of a detection to a state and its dimension.
+
+    The slope is left out: another face of the same vehicle is still the vehicle.
+    """
+    rows = observed(detection)
+    rows = rows[rows < om.SLOPE.start]
+    at = np.ix_(rows, rows)
+    innovation = detection.z[rows] - mu[rows]
+    return ekf.squared_distance(innovation, P[at] + detection.R[at]), len(rows)
+
+
+def associate(tracks: Sequence, detections: Sequence[Detection],
+              gate: float) -> list[tuple[int, int]]:
+    """Return pairs (track, detection) of the cheapest assignment in which none is forbidden.
+
+    Parameters
+    ----------
+    tracks : sequence
+        Of predicted tracks with ``mu``, ``P``, ``x`` (predicted block centres) and ``plane_id``.
+    detections : sequence of Detection
+    gate : float
+        Share of right detections inside the gate.
+    """
+    if not tracks or not detections:
+        return []
+    cost = np.array([[_cost(track, detection, gate) for detection in detections]
+                     for track in tracks])
+    rows, columns = linear_sum_assignment(cost)
+    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True)
+            if cost[i, j] < FORBIDDEN]
+
+
+def _cost(track, detection, gate):
+    distance, dof = squared_distance(track.mu, track.P, detection)
+    shared = overlap(track.x, detection.x)
+    limit = chi2.ppf(gate, dof)
+    if shared < MIN_OVERLAP or distance > limit * (RESCUE if shared > 0.5 else 1.0):
+        return FORBIDDEN
+    return distance + OVERLAP_COST * (1 - shared) + OTHER_ID_COST * (
+        track.plane_id != detection.id)
+
+
+def grouped(detections: Sequence[Detection], gate: float) -> list[Detection]:
+    """Join the surfaces of one vehicle into the detection of the largest one.
+
+    Detections come largest first; each joins the first one before it that it touches and whose
+    motion it shares.
+    """
+    groups: list[list[Detection]] = []
+    for detection in detections:
+        home = next((g for g in groups if any(same_body(d, detection, gate) for d in g)), None)
+        if home is None:
+            groups.append([detection])
+        else:
+            home.append(detection)
+    return [_joined(group) for group in groups]
+
+
+def same_body(one: Detection, other: Detection, gate: float) -> bool:
+    """Return whether two surfaces touch and move as one body at about one depth."""
+    return _touch(one.box, other.box) and _share_depth(one, other) and _share_motion(
+        one, other, gate)
+
+
+def _touch(a, b):
+    """Whether two boxes lie at most a block apart."""
+    return bool(np.all(np.maximum(a[:2], b[:2]) - np.minimum(a[:2] + a[2:], b[:2] + b[2:])
+                       <= CELL))
+
+
+def _share_depth(one, other):
+    """Whether depths agree; what lies above another surface has no contact of its own."""
+    left = max(one.box[0], other.box[0])
+    right = min(one.box[0] + one.box[2], other.box[0] + other.box[2])
+    if right - left > 0.5 * min(one.box[2], other.box[2]):
+        return True
+    if not (one.has_depth and other.has_depth):
+        return True
+    sigma = np.sqrt(one.R[2, 2] + other.R[2, 2])
+    return abs(one.z[2] - other.z[2]) < 2 * sigma + 0.1
+
+
+def _share_motion(one, other, gate):
+    """Whether one velocity explains both rates, at depths of a ratio that one body allows."""
+    a, b = one.z[om.RATE], other.z[om.RATE]
+    ratio = np.clip(a @ b / max(b @ b, 1e-12), *DEPTH_RATIO)
+    S = one.R[om.RATE, om.RATE] + ratio**2 * other.R[om.RATE, om.RATE]
+    return ekf.squared_distance(a - ratio * b, S) < chi2.ppf(gate, 3)
+
+
+def _joined(group):
+    """Return the detection of a group: the largest one's motion, the blocks of all."""
+    first = group[0]
+    if len(group) == 1:
+        return first
+    return Detection(first.id, first.z, first.R, first.has_depth,
+                     np.concatenate([d.x for d in group]),
+                     np.concatenate([d.block for d in group]), first.scale_prior)

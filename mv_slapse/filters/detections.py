@@ -1,0 +1,162 @@
+"""Moving planes of one key frame pair as observations of the obstacle filters, (16) of [MVO]."""
+
+from dataclasses import dataclass, replace
+
+from mv_slapse.config import ObstacleSettings
+from mv_slapse.filters import obstacle_motion as om
+from mv_slapse.filters.view import View
+from mv_slapse.geometry import moving_plane
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.records import Extraction, Label, PlaneHandover, ScalePrior
+import numpy as np
+from scipy.ndimage import label as components
+
+CELL = 16  # [px] of the lattice on which regions are compared
+OUTLINE_SHARE = 0.08  # of a region's size: how well its blocks show its middle
+HIDDEN_CONTACT_SIGMA = 0.3  # of ln Z where the picture's edge cuts the region off below
+
+
+@dataclass(frozen=True)
+class Detection:
+    """A moving plane of one key frame pair.
+
+    Attributes
+    ----------
+    id : int
+        Of the plane observation.
+    z, R : (8,), (8, 8) float64
+        Observed state as in obstacle_motion, and its covariance.
+    has_depth : bool
+        The depth is evidence; else a prior that only a new track may use.
+    x, block : (N, 2) float64
+        Centres and sizes of its blocks [px].
+    scale_prior : ScalePrior
+    """
+
+    id: int
+    z: np.ndarray
+    R: np.ndarray
+    has_depth: bool
+    x: np.ndarray
+    block: np.ndarray
+    scale_prior: ScalePrior
+
+    @property
+    def box(self) -> np.ndarray:
+        """Return x, y of the top left corner, width, height [px]."""
+        return box_of(self.x, self.block)
+
+
+def box_of(x: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Return the box (4,) around blocks: top left corner, width, height [px]."""
+    low, high = np.min(x - block / 2, axis=0), np.max(x + block / 2, axis=0)
+    return np.r_[low, high - low]
+
+
+def detections(extraction: Extraction, view: View, settings: ObstacleSettings) -> list[Detection]:
+    """Return the moving planes of an extraction, largest first."""
+    found = []
+    for plane in extraction.planes:
+        if plane.label is not Label.MOVING:
+            continue
+        x, block = _blocks(extraction, plane.id)
+        if len(x) < settings.min_macroblocks or plane.covariance.shape != (6, 6):
+            continue
+        scale = np.repeat([1 / view.unit, view.unit], 3)
+        found.append(_detection(plane.id, scale * np.r_[plane.plane, plane.t_d],
+                                plane.covariance * np.outer(scale, scale), x, block,
+                                plane.scale_prior, view, settings))
+    found = [_on_ground(item, view) for item in found if item is not None]
+    return sorted(found, key=lambda item: (-len(item.x), item.id))
+
+
+def from_handover(handover: PlaneHandover, extraction: Extraction, view: View,
+                  settings: ObstacleSettings) -> Detection | None:
+    """Return a plane handed over by the scene filter as the first detection of a track.
+
+    Its blocks are those that the extraction counts to the plane, whatever their label; None
+    where there are too few.
+    """
+    x, block = _blocks(extraction, handover.id)
+    if len(x) < settings.min_macroblocks:
+        return None
+    plane, by_plane = view.plane_to_cam(handover.plane)
+    by_state = np.zeros((6, 6))
+    by_state[:3, :3] = by_plane
+    by_state[3:, 3:] = -view.dt * view.R_world_from_cam.T
+    t_d = by_state[3:, 3:] @ handover.velocity
+    return _detection(handover.id, np.r_[plane, t_d],
+                      by_state @ handover.covariance @ by_state.T, x, block,
+                      ScalePrior.GROUND_CONTACT, view, settings)
+
+
+def _blocks(extraction, plane_id):
+    """Return centres and sizes of the largest connected part of a plane's blocks."""
+    at = extraction.plane_id == plane_id
+    x, block = extraction.x_cur[at].astype(float), extraction.block[at].astype(float)
+    if len(x) < 2:
+        return x, block
+    cell = np.maximum((x // CELL).astype(int), 0)
+    lattice = np.zeros(cell.max(axis=0) + 1, bool)
+    lattice[tuple(cell.T)] = True
+    # A block missing inside a surface must not tear it apart: fill single gaps before joining.
+    padded = np.pad(lattice, 1)
+    grown = padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:] | lattice
+    part = components(grown, np.ones((3, 3)))[0][tuple(cell.T)]
+    largest = part == np.argmax(np.bincount(part))
+    return x[largest], block[largest]
+
+
+def _detection(id_, state, covariance, x, block, prior, view, settings):
+    """Return the Detection of (plane, t_d) in the camera [map unit], None if behind it."""
+    box = box_of(x, block)
+    centre = to_rays(view.K, (box[:2] + box[2:] / 2)[None])[0, :2]
+    if -state[:3] @ np.r_[centre, 1.0] <= 1e-9 or not np.all(np.isfinite(covariance)):
+        return None
+    theta, jacobian = moving_plane.from_plane(state[:3], state[3:], centre, view.t_cur_from_prev)
+    if np.any(np.abs(theta[moving_plane.SLOPE]) > om.SLOPE_LIMIT):
+        return None
+    covariance = jacobian @ covariance @ jacobian.T
+    covariance[:3, :3] += _shared_error(centre, box, view, settings)
+    order = [5, 0, 1, 2, 3, 4]
+    scale = np.r_[1.0, np.full(3, 1 / view.dt), 1.0, 1.0]
+    R = np.zeros((om.SIZE, om.SIZE))
+    R[2:, 2:] = covariance[np.ix_(order, order)] * np.outer(scale, scale)
+    focal = np.diag(view.K)[:2]
+    R[om.BEARING, om.BEARING] = np.diag(
+        (np.max(block, axis=0)**2 / 12 + (OUTLINE_SHARE * box[2:])**2) / focal**2)
+    return Detection(id_, np.r_[centre, theta[order] * scale], R,
+                     prior is ScalePrior.GROUND_CONTACT, x, block, prior)
+
+
+def _shared_error(centre, box, view, settings):
+    """Covariance (3, 3) of the rate by what all vectors of a region have in common.
+
+    A bias of the encoder, larger on the growth of a small region, and the camera's rotation.
+    """
+    focal = np.diag(view.K)[:2]
+    bias = settings.vector_bias / focal
+    growth = settings.vector_bias / max(0.5 * float(np.min(box[2:])), CELL / 2)
+    x, y = centre
+    turn = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x], [0.0, 0.0, 0.0]])
+    return np.diag(np.r_[bias**2, growth**2]) + turn @ view.rotation_covariance @ turn.T
+
+
+def _on_ground(detection, view):
+    """Take the depth from the map's ground plane, which is steadier than the pair's own."""
+    if view.ground is None:
+        return detection
+    contact = moving_plane.contact(detection.x, detection.block)
+    depth = moving_plane.contact_depth(view.ground, contact, view.K, detection.z[om.SLOPE],
+                                       detection.z[om.BEARING])
+    if depth is None:
+        return detection
+    hidden = contact.point[1] + CELL > view.size[1]
+    swap = np.eye(om.SIZE)
+    swap[2, 2] = 0.0
+    swap[2, om.SLOPE] = depth.by_slope
+    R = swap @ detection.R @ swap.T
+    R[2, 2] += depth.variance + (HIDDEN_CONTACT_SIGMA**2 if hidden else 0.0)
+    z = detection.z.copy()
+    z[2] = depth.value
+    return replace(detection, z=z, R=R, has_depth=True, scale_prior=ScalePrior.GROUND_CONTACT)

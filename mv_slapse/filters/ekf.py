@@ -1,0 +1,105 @@
+"""Extended Kalman filter over a state whose blocks come and go.
+
+Notation of Thrun et al., Probabilistic Robotics: mean mu, covariance P, Jacobians F and H,
+noise Q and R, innovation z - h(mu).
+"""
+
+from collections.abc import Hashable
+
+import numpy as np
+
+
+class State:
+    """Mean and covariance with named blocks, such as ``'camera'`` and one for each plane id."""
+
+    def __init__(self):
+        """Start without blocks."""
+        self.mu = np.zeros(0)
+        self.P = np.zeros((0, 0))
+        self._blocks: dict[Hashable, slice] = {}
+
+    def __contains__(self, name: Hashable) -> bool:
+        """Return whether there is a block of that name."""
+        return name in self._blocks
+
+    def __getitem__(self, name: Hashable) -> np.ndarray:
+        """Return the mean of a block, a view."""
+        return self.mu[self._blocks[name]]
+
+    @property
+    def names(self) -> tuple[Hashable, ...]:
+        """Return the names of the blocks in the order of the state."""
+        return tuple(sorted(self._blocks, key=lambda name: self._blocks[name].start))
+
+    def index(self, name: Hashable) -> slice:
+        """Return where a block lies in mu and P."""
+        return self._blocks[name]
+
+    def covariance(self, name: Hashable, other: Hashable | None = None) -> np.ndarray:
+        """Return the covariance of a block, or of a block (rows) with another (columns)."""
+        return self.P[self._blocks[name], self._blocks[name if other is None else other]]
+
+    def add(self, name: Hashable, mu: np.ndarray, P: np.ndarray):
+        """Append a block that is independent of the rest."""
+        if name in self._blocks:
+            raise KeyError(f'the state has a block {name!r} already')
+        n = len(self.mu)
+        self._blocks[name] = slice(n, n + len(mu))
+        self.mu = np.r_[self.mu, mu]
+        self.P = np.block([[self.P, np.zeros((n, len(mu)))], [np.zeros((len(mu), n)), P]])
+
+    def add_derived(self, name: Hashable, mu: np.ndarray, J: np.ndarray, P: np.ndarray):
+        """Append a block mu = f(state) + noise: J = df/dmu (m, n), P of the noise (m, m)."""
+        cross = J @ self.P
+        self.add(name, mu, cross @ J.T + P)
+        at = self._blocks[name]
+        self.P[at, :at.start] = cross
+        self.P[:at.start, at] = cross.T
+
+    def remove(self, name: Hashable):
+        """Marginalise a block out: its rows and columns go, the rest keeps its values."""
+        gone = self._blocks.pop(name)
+        size = gone.stop - gone.start
+        self.mu = np.delete(self.mu, gone)
+        self.P = np.delete(np.delete(self.P, gone, 0), gone, 1)
+        for other, at in self._blocks.items():
+            if at.start > gone.start:
+                self._blocks[other] = slice(at.start - size, at.stop - size)
+
+
+def predict(state: State, mu: np.ndarray, F: np.ndarray, Q: np.ndarray):
+    """Move the state to its predicted mean mu = f(state.mu), where F = df/dmu at state.mu."""
+    state.mu = mu
+    state.P = _symmetric(F @ state.P @ F.T + Q)
+
+
+def update(state: State, innovation: np.ndarray, H: np.ndarray, R: np.ndarray):
+    """Correct the state by an innovation z - h(mu), where H = dh/dmu; Joseph form."""
+    S = H @ state.P @ H.T + R
+    K = np.linalg.solve(S, H @ state.P).T
+    I_KH = np.eye(len(state.mu)) - K @ H
+    state.mu = state.mu + K @ innovation
+    state.P = _symmetric(I_KH @ state.P @ I_KH.T + K @ R @ K.T)
+
+
+def update_information(state: State, information: np.ndarray, vector: np.ndarray):
+    """Correct the state by many measurements at once, collapsed into a normal equation.
+
+    The same as ``update`` with ``information`` = H^T R^-1 H (n, n) and ``vector`` =
+    H^T R^-1 (z - h(mu)) (n,), at a cost that does not grow with the number of measurements.
+    Joseph form: with L = (I + P information)^-1, P' = L P L^T + (L P) information (L P)^T.
+    """
+    L = np.linalg.inv(np.eye(len(state.mu)) + state.P @ information)
+    gain = L @ state.P
+    state.mu = state.mu + gain @ vector
+    state.P = _symmetric(gain @ L.T + gain @ information @ gain.T)
+
+
+def squared_distance(innovation: np.ndarray, S: np.ndarray) -> float:
+    """Return the squared Mahalanobis distance of an innovation with covariance S."""
+    return float(innovation @ np.linalg.solve(S, innovation))
+
+
+def _symmetric(P: np.ndarray) -> np.ndarray:
+    """Remove what rounding adds to the skew part."""
+    return 0.5 * (P + P.T)

@@ -1,0 +1,155 @@
+"""Moving obstacles over time: one filter for each, (14)-(16) of [MVO]."""
+
+from collections.abc import Sequence
+
+from mv_slapse.config import ObstacleSettings
+from mv_slapse.filters import association, management, tracks
+from mv_slapse.filters.detections import Detection, detections, from_handover
+from mv_slapse.filters.obstacle_motion import CameraStep
+from mv_slapse.filters.view import relative_motion, View, view_of
+from mv_slapse.records import Extraction, Label, Obstacle, PlaneHandover, SceneEstimate
+import numpy as np
+
+OWN_IDS = 1_000_000  # ids from here on are given where a plane's id is another track's already
+TENTATIVE_LIFETIME = 0.25  # [s] a track that is not yet confirmed may go without evidence
+
+
+class ObstacleTracker:
+    """Obstacles from the moving planes of successive key frame pairs."""
+
+    def __init__(self, settings: ObstacleSettings):
+        """Start without obstacles."""
+        self._settings = settings
+        self._tracks: list[tracks.Track] = []
+        self._waiting: dict[int, PlaneHandover] = {}
+        self._scene: SceneEstimate | None = None
+        self._view: View | None = None
+        self._used: set[int] = set()
+        self._next_id = OWN_IDS
+
+    def step(self, extraction: Extraction, scene: SceneEstimate,
+             handovers: Sequence[PlaneHandover] = ()
+             ) -> tuple[list[Obstacle], list[PlaneHandover]]:
+        """Move all obstacles to a key frame and correct them by its moving planes.
+
+        Parameters
+        ----------
+        extraction : Extraction
+            Lengths in baselines; the scene's baseline makes them map units. Where that is 0 (the
+            camera stands still) they are map units already.
+        scene : SceneEstimate
+            Of the same key frame.
+        handovers : sequence of PlaneHandover
+            Planes that the scene filter found moving; the others are ignored.
+
+        Returns
+        -------
+        obstacles : list of Obstacle
+            By id. Planners use those CONFIRMED and COASTING.
+        handovers : list of PlaneHandover
+            Obstacles that came to a stop, for the scene filter.
+        """
+        if self._scene is not None and extraction.stamp <= self._scene.stamp:
+            return self._obstacles(self._scene.stamp), []
+        view = view_of(extraction, scene, self._scene)
+        self._predict(extraction, scene, view)
+        self._scene, self._view = scene, view
+        found = association.grouped(detections(extraction, view, self._settings),
+                                    self._settings.gate)
+        free = self._continue(found, extraction)
+        free = self._absorb(free, extraction.stamp)
+        self._begin(free, extraction)
+        self._take(handovers, extraction)
+        return self._finish(extraction)
+
+    def _predict(self, extraction, scene, view):
+        """Move the tracks on, dropping those that leave the view."""
+        if self._scene is None:
+            return
+        dt = 1e-9 * (extraction.stamp - self._scene.stamp)
+        R, t = view.R_cur_from_prev, view.t_cur_from_prev
+        if extraction.previous_stamp != self._scene.stamp:
+            R, t = relative_motion(self._scene, scene)
+        step = CameraStep(R, t, dt, self._view.scene_velocity, self._view.scene_covariance)
+        self._tracks = [track for track in self._tracks
+                        if track.predict(step, view, self._settings)]
+
+    def _continue(self, found, extraction):
+        """Update tracks by their detections; return the detections that have none."""
+        pairs = association.associate(self._tracks, found, self._settings.gate)
+        for i, j in pairs:
+            self._tracks[i].update(found[j], extraction, self._view, self._settings)
+        taken = {j for _, j in pairs}
+        return [item for j, item in enumerate(found) if j not in taken]
+
+    def _absorb(self, free, stamp):
+        """Drop detections that lie on an obstacle just updated: parts of it, not a second one."""
+        seen = [track for track in self._tracks if track.last_seen == stamp]
+        return [item for item in free
+                if not any(association.overlap(track.x, item.x) > 0.3 for track in seen)]
+
+    def _begin(self, free: list[Detection], extraction):
+        for detection in free:
+            self._tracks.append(tracks.start(detection, extraction, self._view,
+                                             self._new_id(detection.id)))
+
+    def _take(self, handovers, extraction):
+        """Start a track for each plane that the scene filter gave up, once its blocks are seen."""
+        self._waiting.update((item.id, item) for item in handovers
+                             if item.to_label is Label.MOVING)
+        for plane_id, item in sorted(self._waiting.items()):
+            late = 1e-9 * (extraction.stamp - item.stamp) > self._settings.lifetime
+            known = any(track.plane_id == plane_id for track in self._tracks)
+            detection = None if late or known else from_handover(item, extraction, self._view,
+                                                                 self._settings)
+            if detection is not None:
+                self._begin([detection], extraction)
+            if late or known or detection is not None:
+                del self._waiting[plane_id]
+
+    def _finish(self, extraction):
+        """Confirm, hand over and expire tracks; return what is left and what is handed over."""
+        given = []
+        for track in self._tracks:
+            track.confirmed |= management.confirms(track.evidence, self._view.is_metric,
+                                                   self._settings)
+            if track.confirmed and self._has_stopped(track, extraction):
+                given.append(track)
+        handed = [track.handover(extraction.stamp, self._view) for track in given]
+        self._tracks = [track for track in self._tracks
+                        if track not in given and not self._expired(track, extraction.stamp)]
+        self._used |= {track.id for track in self._tracks if track.confirmed}
+        return self._obstacles(extraction.stamp), handed
+
+    def _has_stopped(self, track, extraction):
+        if track.last_seen == extraction.stamp:
+            return management.stands_still(track.evidence, self._settings)
+        motion = track.motion(self._view)
+        sigma = float(np.sqrt(np.trace(motion.covariance[3:, 3:]) / 3))
+        return management.melts_into_scene(float(np.linalg.norm(motion.velocity)), sigma,
+                                           _still_share(track, extraction), self._settings)
+
+    def _expired(self, track, stamp):
+        lifetime = self._settings.lifetime
+        if not track.confirmed:
+            lifetime = min(lifetime, TENTATIVE_LIFETIME)
+        return 1e-9 * (stamp - track.last_seen) > lifetime
+
+    def _obstacles(self, stamp):
+        return [track.obstacle(stamp, self._view)
+                for track in sorted(self._tracks, key=lambda track: track.id)]
+
+    def _new_id(self, plane_id):
+        """Return the plane's id, or one of the tracker's own where that is taken."""
+        if plane_id not in self._used and all(plane_id != track.id for track in self._tracks):
+            return plane_id
+        self._next_id += 1
+        return self._next_id
+
+
+def _still_share(track, extraction):
+    """Share of the labelled blocks inside a track's outline that are labelled stationary."""
+    low, high = track.x.min(axis=0) - 8, track.x.max(axis=0) + 8
+    inside = np.all((extraction.x_cur >= low) & (extraction.x_cur <= high), axis=1)
+    labels = extraction.label[inside & (extraction.label != Label.UNKNOWN)]
+    return float(np.mean(labels == Label.STATIONARY)) if len(labels) else 0.0

@@ -1,0 +1,183 @@
+"""One moving obstacle over time: its filter, its outline and the evidence for it."""
+
+from dataclasses import dataclass, field
+
+from mv_slapse.config import ObstacleSettings
+from mv_slapse.filters import association, ekf
+from mv_slapse.filters import obstacle_motion as om
+from mv_slapse.filters.detections import box_of, Detection
+from mv_slapse.filters.management import Evidence, within
+from mv_slapse.filters.view import View
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.records import Extraction, Label, Obstacle, ObstacleState, PlaneHandover
+import numpy as np
+from scipy.stats import chi2
+
+UNSCALED_ACCELERATION = 0.1  # [1/s] of the speed, per unit of the setting
+KEPT_EVIDENCE = 2.0  # [s]
+
+
+@dataclass
+class Track:
+    """A moving obstacle.
+
+    Attributes
+    ----------
+    id : int
+        Lasts as long as the track.
+    plane_id : int
+        Of the plane observation that continued it last.
+    state : ekf.State
+        Blocks 'bearing', 'log_depth', 'rate', 'slope' of obstacle_motion.
+    x, block : (N, 2) float64
+        Block centres, moved on by the prediction, and sizes [px].
+    first_seen, last_seen : int, int
+        Stamps [ns].
+    """
+
+    id: int
+    plane_id: int
+    state: ekf.State
+    x: np.ndarray
+    block: np.ndarray
+    scale_prior: int
+    first_seen: int
+    last_seen: int
+    confirmed: bool = False
+    evidence: list[Evidence] = field(default_factory=list)
+
+    @property
+    def mu(self) -> np.ndarray:
+        """Return the mean (8,) of the state."""
+        return self.state.mu
+
+    @property
+    def P(self) -> np.ndarray:
+        """Return the covariance (8, 8) of the state."""
+        return self.state.P
+
+    def predict(self, step: om.CameraStep, view: View, settings: ObstacleSettings) -> bool:
+        """Move on to the newest key frame, (15); False where the obstacle is out of sight."""
+        still = step.t_cur_from_prev / step.dt
+        speed = np.linalg.norm(still) + np.exp(self.mu[2]) * np.linalg.norm(self.mu[om.RATE])
+        unit = 1.0 if view.is_metric else UNSCALED_ACCELERATION * speed
+        moved = om.predict(self.mu, step, still, view.scene_covariance,
+                           settings.acceleration * unit)
+        if moved is None:
+            return False
+        mu, F, Q = moved
+        focal, centre = np.diag(view.K)[:2], view.K[:2, 2]
+        old, new = focal * self.mu[:2] + centre, focal * mu[:2] + centre
+        growth = np.exp(np.clip(self.mu[2] - mu[2], -1, 1))
+        self.x = new + growth * (self.x - old)
+        self.block = growth * self.block
+        ekf.predict(self.state, mu, F, Q)
+        return bool(np.all(self.box(view)[2:] > 0))
+
+    def update(self, detection: Detection, extraction: Extraction, view: View,
+               settings: ObstacleSettings):
+        """Correct the state by a detection, (16), and keep what it says of the motion."""
+        rows = association.observed(detection)
+        distance, dof = association.squared_distance(self.mu, self.P, detection)
+        excess = max(1.0, distance / chi2.ppf(settings.gate, dof))
+        R = _correlated(detection.R, view.dt, settings)[np.ix_(rows, rows)] * excess
+        ekf.update(self.state, detection.z[rows] - self.mu[rows], np.eye(om.SIZE)[rows], R)
+        self.state.mu[om.SLOPE] = np.clip(self.mu[om.SLOPE], -om.SLOPE_LIMIT, om.SLOPE_LIMIT)
+        self.plane_id, self.x, self.block = detection.id, detection.x, detection.block
+        if detection.has_depth:
+            self.scale_prior = detection.scale_prior
+        self.witness(extraction, view, distance, dof)
+
+    def witness(self, extraction: Extraction, view: View, nis: float, dof: int):
+        """Keep what the newest detection says, for plane management."""
+        self.last_seen = extraction.stamp
+        statistic = om.moving_statistic(self.mu, self.P, view.scene_velocity,
+                                        view.scene_covariance)
+        speed = float(np.linalg.norm(self.motion(view).velocity))
+        self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic, nis,
+                                      dof, speed))
+        self.evidence = within(self.evidence, KEPT_EVIDENCE)
+
+    def motion(self, view: View) -> om.Motion:
+        """Return position and velocity in the world in camera axes."""
+        return om.motion(self.mu, self.P, view.scene_velocity, view.scene_covariance)
+
+    def box(self, view: View) -> np.ndarray:
+        """Return the box (4,) clipped to the picture [px]; no size where it is outside."""
+        box = box_of(self.x, self.block)
+        low = np.clip(box[:2], 0, view.size)
+        return np.r_[low, np.clip(box[:2] + box[2:], 0, view.size) - low]
+
+    def time_to_contact(self) -> tuple[float, float]:
+        """Return the time until the seen surface reaches the camera's plane, and its variance.
+
+        [s], [s^2]; infinite where the depth does not shrink. The filtered observable of
+        ``planes.moving.time_to_contact``, -1 / rate[2].
+        """
+        closing = -self.mu[5]
+        if closing <= 0:
+            return np.inf, np.inf
+        return float(1 / closing), float(self.P[5, 5] / closing**4)
+
+    def obstacle(self, stamp: int, view: View) -> Obstacle:
+        """Return the record of this track at a key frame."""
+        motion = self.motion(view)
+        turn = np.kron(np.eye(2), view.R_world_from_cam)
+        seen = self.last_seen == stamp
+        state = ObstacleState.TENTATIVE if not self.confirmed else (
+            ObstacleState.CONFIRMED if seen else ObstacleState.COASTING)
+        return Obstacle(
+            self.id, stamp, state, view.plane_to_world(om.plane(self.mu))[0],
+            view.to_world(motion.position), view.R_world_from_cam @ motion.velocity,
+            turn @ motion.covariance @ turn.T, *self.time_to_contact(), self.box(view),
+            self._outline(view), len(self.x), 1e-9 * (stamp - self.first_seen), self.last_seen,
+            self.scale_prior)
+
+    def handover(self, stamp: int, view: View) -> PlaneHandover:
+        """Return the hand-over of this plane to the scene filter."""
+        _, jacobian = om.to_cartesian(self.mu)
+        plane = om.plane(self.mu)
+        by_state = np.zeros((6, om.SIZE))
+        by_state[:3] = -jacobian[6:] / np.exp(self.mu[2])
+        by_state[:3, 2] -= plane
+        by_state[3:] = jacobian[3:6]
+        plane_world, by_plane = view.plane_to_world(plane)
+        turn = np.zeros((6, 6))
+        turn[:3, :3], turn[3:, 3:] = by_plane, view.R_world_from_cam
+        covariance = by_state @ self.P @ by_state.T
+        covariance[3:, 3:] += view.scene_covariance
+        return PlaneHandover(stamp, self.plane_id, Label.STATIONARY, plane_world, np.zeros(3),
+                             turn @ covariance @ turn.T)
+
+    def _outline(self, view):
+        """Corners (4, 3) of the seen surface in {W}: its box on its plane."""
+        box = box_of(self.x, self.block)
+        corners = to_rays(view.K, box[:2] + box[2:] * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
+        relative = np.clip(1 + (corners[:, :2] - self.mu[:2]) @ self.mu[om.SLOPE], 0.5, 2.0)
+        return view.to_world(corners * (np.exp(self.mu[2]) / relative)[:, None])
+
+
+def start(detection: Detection, extraction: Extraction, view: View, track_id: int) -> Track:
+    """Return a new track of a detection."""
+    state = ekf.State()
+    for name, at in (('bearing', om.BEARING), ('log_depth', om.LOG_DEPTH), ('rate', om.RATE),
+                     ('slope', om.SLOPE)):
+        state.add(name, detection.z[at], detection.R[at, at])
+    state.P[:] = detection.R
+    track = Track(track_id, detection.id, state, detection.x, detection.block,
+                  detection.scale_prior, extraction.stamp, extraction.stamp)
+    track.witness(extraction, view, 0.0, 0)
+    return track
+
+
+def _correlated(R, dt, settings):
+    """Widen what is wrong alike in successive pairs, so that repeating it does not sharpen it.
+
+    A region's outline sits on the same lattice of blocks for a while: as many pairs as fit into
+    twice the correlation time tell as much as one.
+    """
+    factor = max(1.0, 2 * settings.correlation_time / dt)
+    scale = np.ones(om.SIZE)
+    scale[:3] = np.sqrt(factor)
+    scale[om.SLOPE] = np.sqrt(factor)
+    return R * np.outer(scale, scale)

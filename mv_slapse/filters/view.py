@@ -1,0 +1,121 @@
+"""What the obstacle filters know of the camera in one key frame, in map units."""
+
+from dataclasses import dataclass
+
+from mv_slapse.geometry import plane as planes
+from mv_slapse.records import Extraction, MotionStatus, ScaleStatus, SceneEstimate
+import numpy as np
+
+LEAST_SPEED_ERROR = 0.01  # share of the camera's speed, if its filter claims to know better
+
+
+@dataclass(frozen=True)
+class View:
+    """Camera of key frame k and its motion since key frame k-1.
+
+    Attributes
+    ----------
+    K : (3, 3) float64
+    R_world_from_cam, t_world_from_cam : (3, 3), (3,) float64
+    R_cur_from_prev, t_cur_from_prev : (3, 3), (3,) float64
+        Motion of the pair [map unit].
+    dt : float
+        Time of the pair [s].
+    unit : float
+        Length of the pair's baseline [map unit].
+    scene_velocity, scene_covariance : (3,), (3, 3) float64
+        Of the still scene relative to the camera, in its axes [map unit/s].
+    rotation_covariance : (3, 3) float64
+        Of R_cur_from_prev.
+    ground : (3,) float64 or None
+        Ground plane n / d in the camera [1/map unit].
+    size : (2,) float64
+        Width and height of the picture [px].
+    is_metric : bool
+    """
+
+    K: np.ndarray
+    R_world_from_cam: np.ndarray
+    t_world_from_cam: np.ndarray
+    R_cur_from_prev: np.ndarray
+    t_cur_from_prev: np.ndarray
+    dt: float
+    unit: float
+    scene_velocity: np.ndarray
+    scene_covariance: np.ndarray
+    rotation_covariance: np.ndarray
+    ground: np.ndarray | None
+    size: np.ndarray
+    is_metric: bool
+
+    def to_world(self, X_cam: np.ndarray) -> np.ndarray:
+        """Return points (N, 3) or (3,) of the camera frame in {W}."""
+        return X_cam @ self.R_world_from_cam.T + self.t_world_from_cam
+
+    def plane_to_cam(self, plane_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return a plane of {W} in the camera, upper half of (16), and the derivative (3, 3)."""
+        R = self.R_world_from_cam
+        return _moved(plane_world, R.T, -R.T @ self.t_world_from_cam)
+
+    def plane_to_world(self, plane_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return a plane of the camera in {W} and the derivative (3, 3)."""
+        return _moved(plane_cam, self.R_world_from_cam, self.t_world_from_cam)
+
+
+def view_of(extraction: Extraction, scene: SceneEstimate, before: SceneEstimate | None) -> View:
+    """Return the View of a key frame.
+
+    The pair's own motion counts, with the scene filter's baseline as its length. Where the pair
+    tells nothing the motion comes from the poses. A baseline of 0 (standing camera) leaves the
+    pair without a unit; its lengths are then read as map units.
+    """
+    dt = max(1e-9 * (extraction.stamp - extraction.previous_stamp), 1e-6)
+    unit = scene.baseline if scene.baseline > 1e-9 else 1.0
+    motion = extraction.motion
+    R, t = motion.R_cur_from_prev, unit * motion.t_cur_from_prev
+    if motion.status is MotionStatus.UNKNOWN and before is not None:
+        R, t = relative_motion(before, scene)
+    return View(extraction.K, scene.R_world_from_cam, scene.t_world_from_cam, R, t, dt, unit,
+                t / dt, _scene_covariance(t / dt, unit / dt, motion.covariance[3:, 3:], scene),
+                motion.covariance[:3, :3], _ground(scene),
+                np.array([extraction.width, extraction.height], float),
+                scene.scale_status is ScaleStatus.METRIC)
+
+
+def relative_motion(before: SceneEstimate, now: SceneEstimate) -> tuple[np.ndarray, np.ndarray]:
+    """Return R_cur_from_prev and t_cur_from_prev between two poses."""
+    R_cam_from_world = now.R_world_from_cam.T
+    return (R_cam_from_world @ before.R_world_from_cam,
+            R_cam_from_world @ (before.t_world_from_cam - now.t_world_from_cam))
+
+
+def _moved(plane, R, t):
+    """Return a plane in another frame, X_b = R X_a + t, and the derivative."""
+    rotated = R @ plane
+    scale = 1 - rotated @ t
+    # A plane through the other frame's origin has no n / d there: keep it far from infinite.
+    scale = np.copysign(max(abs(scale), 1e-6), scale)
+    return rotated / scale, (R + np.outer(rotated / scale, t @ R)) / scale
+
+
+def _scene_covariance(velocity, per_direction, direction_covariance, scene):
+    """Covariance of the scene's relative velocity: its direction, and its length alike."""
+    speed = np.linalg.norm(velocity)
+    if speed < 1e-9:
+        return np.zeros((3, 3))
+    ahead = scene.R_world_from_cam @ velocity / speed
+    variance = ahead @ scene.twist_covariance[:3, :3] @ ahead
+    along = np.clip(variance, (LEAST_SPEED_ERROR * speed)**2, speed**2)
+    return (per_direction**2 * direction_covariance
+            + along * np.outer(velocity, velocity) / speed**2)
+
+
+def _ground(scene):
+    """Return the map's ground plane n / d in the camera, or None."""
+    for plane in scene.planes:
+        if plane.is_ground:
+            R = scene.R_world_from_cam
+            depth = plane.depth + plane.normal @ scene.t_world_from_cam
+            if abs(depth) > 1e-6:
+                return planes.from_normal_depth(R.T @ plane.normal, depth)
+    return None
