@@ -19,14 +19,17 @@ from setuptools.command.install import install
 NAME = 'mv_slapse'
 NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker', 'all_in_one')
 PROGRAM = 'mv_slapse = mv_slapse.__main__:main'
-REQUIREMENTS = ['av>=10', 'numpy>=1.26', 'scipy>=1.11', 'opencv-python-headless>=4.6,<5', 'mcap>=1',
-                'rosbags>=0.10', 'matplotlib>=3.6', 'tqdm>=4', 'pyyaml>=6']
+REQUIREMENTS = ['av>=10', 'matplotlib>=3.6', 'mcap>=1', 'numpy>=1.26',
+                'opencv-python-headless>=4.6,<5', 'pyyaml>=6', 'rosbags>=0.10', 'scipy>=1.11',
+                'tqdm>=4']
 HERE = Path(__file__).resolve().parent
 BY_COLCON = 'install' in sys.argv or '--editable' in sys.argv
 LAUNCHER = """#!/bin/sh
 prefix={prefix}
 . "$prefix/local_setup.sh"
-exec "$prefix/bin/python" -c 'import sys; from mv_slapse.nodes.{node} import main; sys.exit(main())' "$@"
+exec "$prefix/bin/python" -Pc 'import sys
+from mv_slapse.nodes.{node} import main
+sys.exit(main())' "$@"
 """
 
 
@@ -140,7 +143,7 @@ DATA_FILES = [
     ('share/ament_index/resource_index/packages', ['resource/' + NAME]),
     ('share/' + NAME, ['package.xml']),
     ('share/' + NAME + '/launch', sorted(glob('mv_slapse/launch/*.launch.py'))),
-    ('share/' + NAME + '/config', sorted(glob('config/*'))),
+    ('share/' + NAME + '/config', sorted(filter(os.path.isfile, glob('config/*')))),
 ]
 SCRIPTS = [PROGRAM, *(f'{node} = mv_slapse.nodes.{node}:main' for node in NODES if BY_COLCON)]
 

@@ -1,0 +1,50 @@
+"""What all tests share: seeds, the real sequences, and a ROS of their own."""
+
+from contextlib import ExitStack
+import os
+from pathlib import Path
+import sys
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / 'shared' / 'data'
+ROS_FOLDERS = ('nodes', 'system')
+
+# Before rclpy is loaded, and for the processes that tests start.
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
+if Path(sys.prefix, 'share', 'ament_index').is_dir():
+    os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
+
+
+def pytest_collection_modifyitems(items):
+    """Keep the tests that start ROS nodes in one worker: side by side they miss deadlines."""
+    for item in items:
+        if Path(item.path).relative_to(ROOT / 'test').parts[0] in ROS_FOLDERS:
+            item.add_marker(pytest.mark.xdist_group('ros'))
+
+
+@pytest.fixture(params=range(5), ids='seed{}'.format)
+def rng(request):
+    """Generator of each of five seeds."""
+    return np.random.default_rng(request.param)
+
+
+@pytest.fixture(scope='session')
+def data():
+    """Folder of the real sequences; skips where they are absent."""
+    if not DATA.is_dir():
+        pytest.skip('the real sequences (../shared/data) are absent')
+    return DATA
+
+
+@pytest.fixture(scope='module')
+def ros_domain():
+    """ROS domain that no other test module on this machine uses; set for child processes."""
+    coordinator = pytest.importorskip('domain_coordinator')
+    with ExitStack() as stack, pytest.MonkeyPatch.context() as patch:
+        domain = stack.enter_context(coordinator.domain_id())
+        patch.setenv('ROS_DOMAIN_ID', str(domain))
+        yield domain
