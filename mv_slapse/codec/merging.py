@@ -1,6 +1,7 @@
 """A segment's evidence to one vector for each macroblock, section V-A of [SLAPSE]."""
 
 from math import comb, sqrt
+from typing import NamedTuple
 
 from mv_slapse.codec.evidence import collect, Evidence
 from mv_slapse.codec.segments import Segment
@@ -9,7 +10,9 @@ from mv_slapse.records import Correspondences, SegmentKind
 import numpy as np
 
 MACROBLOCK = 16  # px
-DEPTH = 6  # pieces of evidence looked at for each macroblock
+DEPTH = 8  # pieces of evidence looked at for each macroblock
+ABSENT = 1e6  # px, a vector that agrees with none
+AROUND = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
 
 
 def existence(kind: SegmentKind, n_b: int, p: float) -> float:
@@ -65,93 +68,135 @@ def merge(segment: Segment, settings: DecoderSettings) -> Correspondences:
         Not BROKEN.
     settings : DecoderSettings
     """
-    evidence = collect(segment, settings.bend_slack, settings.bend_tolerance)
     frame = segment.current
-    cell, stride = _cells(evidence, frame.width, frame.height)
-    score = _support(evidence, cell, stride, settings)
-    columns = _average(evidence, cell, score, settings)
-    n = len(columns['sigma'])
+    evidence = collect(segment, settings.bend_slack, settings.bend_tolerance)
+    x, vector, variance = consensus(evidence, frame.width, frame.height, settings)
     chance = existence(segment.kind, len(segment.between), settings.match_probability)
     return Correspondences(
         frame.stamp, segment.previous.stamp, frame.width, frame.height, segment.kind,
-        len(segment.between), probability=np.full(n, chance, np.float32),
-        block=np.full((n, 2), MACROBLOCK, np.uint8), **columns)
+        len(segment.between), x_cur=x, x_prev=x + vector,
+        sigma=settings.vector_sigma * np.sqrt(variance),
+        probability=np.full(len(x), chance, np.float32),
+        block=np.full((len(x), 2), MACROBLOCK, np.uint8))
 
 
-def _cells(evidence: Evidence, width: int, height: int) -> tuple[np.ndarray, int]:
-    """Return the macroblock of each piece (0: outside) on a grid with a border, its width."""
-    stride, rows = -(-width // MACROBLOCK) + 2, -(-height // MACROBLOCK) + 2
-    column, row = (np.floor((evidence.x_cur + 0.5) / MACROBLOCK).astype(np.intp) + 1).T
-    inside = (column > 0) & (column < stride - 1) & (row > 0) & (row < rows - 1)
-    return np.where(inside, row * stride + column, 0), stride
+def consensus(evidence: Evidence, width: int, height: int,
+              settings: DecoderSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return place [px], vector [px] and variance of what each macroblock's evidence agrees on.
 
+    A macroblock's evidence falls into at most two clusters; the one that the eight macroblocks
+    around support best is taken, if it has support enough.
 
-def _table(cell: np.ndarray) -> np.ndarray:
-    """Return the evidence of each cell, (cells, DEPTH) rows; len(cell) where there is no more."""
-    order = np.argsort(cell, kind='stable')
-    ordered = cell[order]
-    rank = np.arange(len(cell)) - np.searchsorted(ordered, ordered)
-    table = np.full((cell.max(initial=0) + 1, DEPTH), len(cell))
-    kept = (rank < DEPTH) & (ordered > 0)
-    table[ordered[kept], rank[kept]] = order[kept]
-    return table
-
-
-def _support(evidence: Evidence, cell: np.ndarray, stride: int,
-             settings: DecoderSettings) -> np.ndarray:
-    """Return how much the own and the eight macroblocks around speak for each vector, 0 to 9.
-
-    Each of the nine gives at most one vote, that of its vector which agrees best.
+    Returns
+    -------
+    x, vector : (N, 2) float32
+    variance : (N,) float32
+        In units of one vector's variance.
     """
-    table = _table(cell)
-    vectors = np.r_[evidence.vector, np.full((1, 2), 1e9, np.float32)]
-    length = np.hypot(*evidence.vector.T)
-    around = settings.agreement_slack + settings.agreement_tolerance * length
-    within = settings.agreement_slack + settings.agreement_tolerance / 4 * length
-    votes = np.zeros(len(evidence), np.float32)
-    own = np.arange(len(evidence))[:, None]
-    for step in (-stride - 1, -stride, -stride + 1, -1, 0, 1, stride - 1, stride, stride + 1):
-        other = table[np.clip(cell + step, 0, len(table) - 1)]
-        gap = vectors[other] - evidence.vector[:, None]
-        near = 1 - (gap ** 2).sum(axis=2) / ((around if step else within) ** 2)[:, None]
-        if not step:
-            near[other == own] = 0
-        votes += near.max(axis=1, initial=0)
-    return np.where(cell > 0, votes, 0)
+    shape = (-(-height // MACROBLOCK) + 2, -(-width // MACROBLOCK) + 2)
+    slots = _slots(evidence, shape, settings)
+    clusters = [_cluster(slots, settings)]
+    rest = slots._replace(weight=np.where(clusters[0].member, 0, slots.weight))
+    clusters.append(_cluster(rest, settings))
+    votes = np.stack(_votes([cluster.vector.reshape(*shape, 2) for cluster in clusters],
+                            [cluster.mass.reshape(shape) > 0 for cluster in clusters], settings))
+    votes = votes.reshape(2, -1) + [np.minimum(cluster.company, 1) for cluster in clusters]
+    best = votes.argmax(axis=0)
+    cell = np.flatnonzero(np.maximum(*votes) >= settings.min_support)
+    return tuple(np.stack([getattr(cluster, name) for cluster in clusters])[best[cell], cell]
+                 for name in ('x', 'vector', 'variance'))
 
 
-def _average(evidence: Evidence, cell: np.ndarray, score: np.ndarray,
-             settings: DecoderSettings) -> dict[str, np.ndarray]:
-    """Average what agrees with the best supported vector of each macroblock, (5) and (6)."""
-    order = np.lexsort((-score, cell))
-    leads = order[np.r_[True, np.diff(cell[order]) > 0]] if len(order) else order
-    leads = leads[(score[leads] >= settings.min_support) & (cell[leads] > 0)]
-    lead = np.full(cell.max(initial=0) + 1, -1)
-    lead[cell[leads]] = leads
-    mine = lead[cell]
-    gap = np.hypot(*(evidence.vector - evidence.vector[mine]).T)
-    limit = settings.agreement_slack + settings.agreement_tolerance / 4 * np.hypot(
-        *evidence.vector.T)
-    member = np.flatnonzero((mine >= 0) & (gap < limit))
-    return _weighted(evidence, member, np.searchsorted(np.sort(cell[leads]), cell[member]),
-                     len(leads), settings)
+class _Slots(NamedTuple):
+    """Evidence by macroblock: (cells, depth) each, weight 0 where there is none."""
+
+    x: np.ndarray
+    vector: np.ndarray
+    weight: np.ndarray
+    variance: np.ndarray
 
 
-def _weighted(evidence: Evidence, member: np.ndarray, group: np.ndarray, n: int,
-              settings: DecoderSettings) -> dict[str, np.ndarray]:
-    direct = evidence.variance[member] == 1
-    area = evidence.block[member].astype(np.float32).prod(axis=1) / MACROBLOCK ** 2
-    heavy = sqrt(2) if settings.paper_weights else 2.0
-    weight = np.where(direct, heavy, 1.0) * area
+class _Cluster(NamedTuple):
+    """Weighted mean of the evidence of each cell that agrees with its heaviest piece."""
 
-    def total(values):
-        return np.bincount(group, values, n)
+    x: np.ndarray
+    vector: np.ndarray
+    variance: np.ndarray
+    mass: np.ndarray
+    company: np.ndarray
+    member: np.ndarray
 
-    whole = total(weight)
-    x = np.stack([total(weight * evidence.x_cur[member, i]) for i in (0, 1)], axis=1)
-    v = np.stack([total(weight * evidence.vector[member, i]) for i in (0, 1)], axis=1)
-    x, v = x / whole[:, None], v / whole[:, None]
-    variance = merged_variance(total(~direct * area), total(direct * area), heavy)
-    sigma = settings.vector_sigma * np.sqrt(np.maximum(variance, 0.2))
-    return {'x_cur': x.astype(np.float32), 'x_prev': (x + v).astype(np.float32),
-            'sigma': sigma.astype(np.float32)}
+
+def _slots(evidence: Evidence, shape: tuple[int, int], settings: DecoderSettings) -> _Slots:
+    cell = _cells(evidence.x_cur, shape)
+    order = np.argsort(cell, kind='stable')
+    cell = cell[order]
+    rank = np.arange(len(cell)) - np.searchsorted(cell, cell)
+    depth = min(rank.max(initial=0) + 1, DEPTH)
+    kept = (rank < depth) & (cell > 0)
+    at, order = (cell[kept], rank[kept]), order[kept]
+
+    def packed(values, fill=0):
+        table = np.full((shape[0] * shape[1], depth, *values.shape[1:]), fill, np.float32)
+        table[at] = values[order]
+        return table
+
+    area = evidence.block.astype(np.float32).prod(axis=1) / MACROBLOCK ** 2
+    heavy = np.float32(sqrt(2) if settings.paper_weights else 2)
+    weight = np.where(evidence.variance == 1, heavy, 1) * area
+    return _Slots(packed(evidence.x_cur), packed(evidence.vector, ABSENT), packed(weight),
+                  packed(evidence.variance / area))
+
+
+def _cells(x: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return the macroblock of each pixel on a grid with a border; 0 (a corner) outside it."""
+    column, row = (np.floor((x + np.float32(0.5)) / MACROBLOCK).astype(np.int32) + 1).T
+    inside = (column > 0) & (column < shape[1] - 1) & (row > 0) & (row < shape[0] - 1)
+    return np.where(inside, row * shape[1] + column, 0)
+
+
+def _cluster(slots: _Slots, settings: DecoderSettings) -> _Cluster:
+    gap = _square_gap(slots.vector[:, :, None], slots.vector[:, None])
+    agree = gap < _limit(slots.vector, settings, 0.25)[:, :, None] ** 2
+    mass = (agree @ slots.weight[:, :, None])[:, :, 0] * (slots.weight > 0)
+    cell, lead = np.arange(len(mass)), mass.argmax(axis=1)
+    member = agree[cell, lead] & (slots.weight > 0)
+    weight = slots.weight * member
+    whole = np.maximum(weight.sum(axis=1), 1e-9)
+    x, vector = ((weight[:, None] @ part)[:, 0] / whole[:, None]
+                 for part in (slots.x, slots.vector))
+    variance = (weight ** 2 * slots.variance).sum(axis=1) / whole ** 2
+    heaviest = np.maximum(slots.weight[cell, lead], 1e-9)
+    return _Cluster(x, vector, variance, mass[cell, lead], whole / heaviest - 1, member)
+
+
+def _square_gap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    # A sum over an axis of length two would cost numpy ten times as much.
+    return (a[..., 0] - b[..., 0]) ** 2 + (a[..., 1] - b[..., 1]) ** 2
+
+
+def _limit(vector: np.ndarray, settings: DecoderSettings, share: float) -> np.ndarray:
+    """Return how far vectors may differ [px] that a given share of a macroblock sets apart."""
+    length = np.hypot(vector[..., 0], vector[..., 1])
+    return settings.agreement_slack + share * settings.agreement_tolerance * length
+
+
+def _votes(fields: list[np.ndarray], present: list[np.ndarray],
+           settings: DecoderSettings) -> list[np.ndarray]:
+    """Return how many of the eight macroblocks around speak for each vector.
+
+    Each gives at most one vote, that of its vector which agrees best.
+    """
+    fields = [np.where(here[..., None], vectors, ABSENT)
+              for vectors, here in zip(fields, present, strict=True)]
+    votes = []
+    for vectors, here in zip(fields, present, strict=True):
+        centre = vectors[1:-1, 1:-1]
+        scale = 1 / _limit(centre, settings, 1.0) ** 2
+        total = np.zeros(here.shape, np.float32)
+        for row, column in AROUND:
+            part = (slice(1 + row, row - 1 or None), slice(1 + column, column - 1 or None))
+            gap = np.minimum(*(_square_gap(other[part], centre) for other in fields))
+            total[1:-1, 1:-1] += np.maximum(1 - gap * scale, 0)
+        votes.append(np.where(here, total, -1))
+    return votes
