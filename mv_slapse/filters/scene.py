@@ -1,0 +1,259 @@
+"""Filter of the camera and the stationary planes: SceneFilter.step, [SLAPSE] VI, [MVO] 5."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from mv_slapse.config import SceneSettings
+from mv_slapse.filters import scene_gate, scene_map, scene_state, scene_update
+from mv_slapse.filters.scene_state import AnchoredPlane, Pose, SceneState
+from mv_slapse.geometry import two_view
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.records import (
+    Extraction,
+    Label,
+    MotionStatus,
+    PlaneHandover,
+    SceneEstimate,
+    ScaleStatus,
+    TrackingStatus,
+)
+import numpy as np
+
+UP_CAM = np.array([0.0, -1.0, 0.0])
+FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
+
+
+@dataclass
+class Progress:
+    """Where the filter stands: time, last accepted observation, scale."""
+
+    stamp: int
+    supported: int | None = None
+    metric: bool = False
+
+
+class SceneFilter:
+    """Follows the camera's pose and the stationary planes from extraction to extraction."""
+
+    def __init__(self, settings: SceneSettings):
+        """Start before the first key frame."""
+        self._settings = settings
+        self._state: SceneState | None = None
+        self._progress = Progress(0)
+        self._map = scene_map.SceneMap()
+
+    def step(self, extraction: Extraction, handovers: Sequence[PlaneHandover] = ()):
+        """Take in one key frame pair.
+
+        Parameters
+        ----------
+        extraction : Extraction
+            In the order of stamps.
+        handovers : sequence of PlaneHandover
+            Planes that have come to rest, from the obstacle tracker.
+
+        Returns
+        -------
+        estimate : SceneEstimate
+            Pose, velocity and map at the pair's key frame; ``status`` says how far to trust it.
+        handovers : list of PlaneHandover
+            Planes of the map that have started to move.
+        """
+        if self._state is None:
+            self._begin(extraction)
+        self._accept(handovers)
+        leaving = self._release(extraction)
+        status, reason = self._advance(extraction)
+        return self._estimate(extraction, status, reason), leaving
+
+    def _begin(self, extraction: Extraction):
+        """Put {W} at the first key frame."""
+        self._state = scene_state.start(UP_CAM, FREE_SIGMA, 1.0, 0.07)
+        self._progress = Progress(extraction.previous_stamp)
+
+    def _advance(self, extraction: Extraction):
+        """Predict to the key frame and correct; return the tracking status and its reason."""
+        status = extraction.motion.status
+        dt = (extraction.stamp - self._progress.stamp) * 1e-9
+        self._progress.stamp = extraction.stamp
+        if status == MotionStatus.STANDSTILL:
+            return self._stand(extraction)
+        if self._progress.supported is None and status != MotionStatus.MOVING:
+            return TrackingStatus.INITIALISING, extraction.reason
+        self._predict(dt)
+        if status == MotionStatus.UNKNOWN:
+            return self._unsupported(extraction.stamp, extraction.reason)
+        return self._correct(extraction)
+
+    def _stand(self, extraction: Extraction):
+        """Zero-velocity update: the pose stays exactly as it is, so nothing drifts."""
+        state = self._state
+        state.previous = state.current.copy()
+        for name in ('velocity', 'omega'):
+            at = state.at(name)
+            state.error.P[at, :] = 0
+            state.error.P[:, at] = 0
+            state.error.P[at, at] = np.eye(3) * 1e-4
+        state.velocity, state.omega = np.zeros(3), np.zeros(3)
+        prev, cur = state.at('previous'), state.at('current')
+        state.error.P[prev, :] = state.error.P[cur, :]
+        state.error.P[:, prev] = state.error.P[:, cur]
+        self._progress.supported = extraction.stamp
+        return TrackingStatus.OK, 'the camera stands still'
+
+    def _predict(self, dt: float):
+        """Move the camera at constant velocity; the ground may slope along the way."""
+        settings, state = self._settings, self._state
+        speed = np.linalg.norm(state.velocity)
+        density = settings.acceleration if self._progress.metric else 0.1 * speed
+        scene_state.propagate(state, dt, density, settings.angular_acceleration)
+        ground = self._map.ground
+        if ground in state.planes:
+            at = state.at(ground)
+            length = np.linalg.norm(state.planes[ground].plane)
+            # A slope changes over metres: with free scale the camera's height is the only
+            # length at hand, and a vehicle's camera rides about 1.5 m above its road.
+            metres = speed * dt * (1.0 if self._progress.metric else 1.5 * length)
+            state.error.P[at, at] += np.eye(3) * (settings.ground_slope * length) ** 2 * metres
+
+    def _unsupported(self, stamp: int, reason: str):
+        """Judge a pose that is predicted only."""
+        age = (stamp - self._progress.supported) * 1e-9
+        if age > self._settings.lost_after:
+            return TrackingStatus.LOST, f'{reason}; nothing observed for {age:.1f} s'
+        return TrackingStatus.PREDICTED, reason
+
+    def _correct(self, extraction: Extraction):
+        """Update with the pair's correspondences and with what is known of the scale."""
+        settings, first = self._settings, self._progress.supported is None
+        baseline = self._baseline(extraction)
+        known = scene_gate.consistent(self._state, extraction, settings.gate,
+                                      settings.dependence)
+        ids = self._join(extraction, known, baseline)
+        pair, index = _observation(extraction, ids)
+        self._state = scene_update.correspondences(
+            self._state, self._linearisation(extraction, baseline), pair, index, ids,
+            settings.relief, settings.dependence, settings.iterations)
+        ground = scene_gate.ground_of(extraction)
+        self._fix_scale(ground if ground in ids else None, first)
+        self._map.observe(self._state, extraction, ids)
+        self._forget(extraction.stamp)
+        if first or known:
+            self._progress.supported = extraction.stamp
+            return TrackingStatus.OK, ''
+        return self._unsupported(
+            extraction.stamp, 'no known plane is in view: the direction of the way is observed, '
+            'its length is predicted')
+
+    def _baseline(self, extraction: Extraction) -> float:
+        """Return the best guess of the distance between the pair's key frames [map unit]."""
+        settings, progress = self._settings, self._progress
+        guess = np.linalg.norm(self._state.current.t - self._state.previous.t)
+        ground = scene_gate.ground_plane(extraction)
+        if not progress.metric and settings.camera_height and ground is not None:
+            # The camera's height is the ground's depth: 1 / |n/d| in units of the baseline.
+            metric = settings.camera_height * float(np.linalg.norm(ground))
+            if progress.supported is not None:
+                scene_state.scale_lengths(self._state, metric / max(guess, 1e-9))
+                self._map.scale(metric / max(guess, 1e-9))
+            progress.metric = True
+            return metric
+        return guess if progress.supported is not None and guess > 1e-9 else 1.0
+
+    def _join(self, extraction: Extraction, known: set[int], baseline: float) -> list[int]:
+        """Return the planes to update, after putting new and lost ones in afresh.
+
+        A plane comes in with next to no prior; its correspondences then determine it, together
+        with everything they are correlated with.
+        """
+        state, ids = self._state, []
+        for plane in extraction.planes:
+            if plane.label != Label.STATIONARY:
+                continue
+            if plane.id not in known:
+                if plane.id in state.planes:
+                    state.remove_plane(plane.id)
+                world = state.current.R @ plane.plane / baseline
+                state.add_plane(plane.id, AnchoredPlane(world, state.current.t.copy()),
+                                np.eye(3) * (3 * np.linalg.norm(world)) ** 2)
+            ids.append(plane.id)
+        return ids
+
+    def _linearisation(self, extraction: Extraction, baseline: float) -> np.ndarray:
+        """Return the error that takes the predicted pose to the one that the pair shows."""
+        state, motion = self._state, extraction.motion
+        R_world_from_cam = state.previous.R @ motion.R_cur_from_prev.T
+        t_world = state.previous.t - R_world_from_cam @ motion.t_cur_from_prev * baseline
+        shown = replace(state, current=Pose(R_world_from_cam, t_world))
+        return state.error_to(shown)
+
+    def _fix_scale(self, ground: int | None, first: bool):
+        """Observe the camera's height above the ground, or settle the gauge."""
+        settings = self._settings
+        if settings.camera_height and ground is not None:
+            height = settings.camera_height
+            self._state, _ = scene_update.camera_height(
+                self._state, ground, height, settings.camera_height_sigma * height)
+            self._state, _ = scene_update.mounting(self._state, ground, settings.mounting_sigma)
+        elif first:
+            self._state, _ = scene_update.unit_baseline(self._state, 1e-3)
+
+    def _forget(self, stamp: int):
+        """Marginalise planes out that have had no support for long."""
+        lifetime = self._settings.plane_lifetime * 1e9
+        for id in list(self._state.planes):
+            if stamp - self._map.last_seen(id) > lifetime:
+                self._state.remove_plane(id)
+                self._map.remove(id)
+
+    def _accept(self, handovers: Sequence[PlaneHandover]):
+        """Take planes over that have come to rest."""
+        for handover in handovers:
+            if handover.to_label != Label.STATIONARY or handover.id in self._state.planes:
+                continue
+            covariance = handover.covariance[:3, :3]
+            anchor = self._state.current.t.copy()
+            plane = handover.plane / (1 + handover.plane @ anchor)
+            self._state.add_plane(handover.id, AnchoredPlane(plane, anchor), covariance)
+            self._map.adopt(handover.id, handover.stamp)
+
+    def _release(self, extraction: Extraction) -> list[PlaneHandover]:
+        """Give planes away that the extraction now sees moving."""
+        leaving = []
+        for plane in extraction.planes:
+            if plane.label == Label.MOVING and plane.id in self._state.planes:
+                leaving.append(self._map.handover(self._state, plane.id, extraction.stamp))
+                self._state.remove_plane(plane.id)
+                self._map.remove(plane.id)
+        return leaving
+
+    def _estimate(self, extraction, status, reason) -> SceneEstimate:
+        """Write the state down as a record."""
+        state, metric = self._state, self._progress.metric
+        cur = state.at('current')
+        order = np.r_[cur.start + 3:cur.stop, cur.start:cur.start + 3]
+        pose_covariance = state.P[np.ix_(order, order)].copy()
+        # Errors turn about the camera's axes in the state, about those of {W} in the record.
+        turn = np.eye(6)
+        turn[3:, 3:] = state.current.R
+        rates = np.r_[state.at('velocity'), state.at('omega')]
+        source = 'camera height' if metric else 'first translation'
+        return SceneEstimate(
+            extraction.stamp, status, reason, state.current.R.copy(), state.current.t.copy(),
+            turn @ pose_covariance @ turn.T, state.velocity.copy(), state.omega.copy(),
+            state.P[np.ix_(rates, rates)].copy(),
+            ScaleStatus.METRIC if metric else ScaleStatus.UNKNOWN, source,
+            self._map.planes(state),
+            float(np.linalg.norm(state.current.t - state.previous.t)))
+
+
+def _observation(extraction: Extraction, ids: list[int]):
+    """Return the stationary correspondences and the position in ``ids`` of each one's plane."""
+    stationary = ((extraction.label == Label.STATIONARY) | (extraction.label == Label.INFINITY))
+    x_cur, x_prev = (x[stationary].astype(float) for x in (extraction.x_cur, extraction.x_prev))
+    pair = two_view.Pair(to_rays(extraction.K, x_cur), to_rays(extraction.K, x_prev), x_prev,
+                         extraction.sigma[stationary].astype(float), extraction.K)
+    index = np.full(len(pair), -1)
+    for i, id in enumerate(ids):
+        index[extraction.plane_id[stationary] == id] = i
+    return pair, index

@@ -1,0 +1,51 @@
+"""Which planes of the map a new extraction may correct."""
+
+from mv_slapse.filters.scene_state import (
+    plane_in_camera,
+    plane_in_camera_jacobian,
+    relative_motion,
+    relative_motion_jacobian,
+    SceneState,
+)
+from mv_slapse.records import Extraction, Label, PlaneObservation
+import numpy as np
+
+
+def ground_of(extraction: Extraction) -> int | None:
+    """Return the id of the ground, None where it is not seen."""
+    return next((plane.id for plane in extraction.planes if plane.is_ground), None)
+
+
+def ground_plane(extraction: Extraction) -> np.ndarray | None:
+    """Return the ground (3,) in camera k [1/baseline], None where it is not seen."""
+    return next((plane.plane for plane in extraction.planes if plane.is_ground), None)
+
+
+def consistent(state: SceneState, extraction: Extraction, gate: float,
+               dependence: float) -> set[int]:
+    """Return the ids of known planes whose observation agrees with the predicted state."""
+    return {plane.id for plane in extraction.planes
+            if plane.label == Label.STATIONARY and plane.id in state.planes
+            and squared_distance(state, plane, dependence) < gate}
+
+
+def squared_distance(state: SceneState, plane: PlaneObservation, dependence: float) -> float:
+    """Squared Mahalanobis distance between a plane seen and the map's, in baseline units.
+
+    The observation is plane_in_camera * |t|: two views know a plane only up to their baseline.
+    """
+    in_camera = plane_in_camera(state, plane.id)
+    by_pose, by_plane = plane_in_camera_jacobian(state, plane.id)
+    _, t = relative_motion(state)
+    length = np.linalg.norm(t)
+    if length < 1e-9:
+        return np.inf
+    by_previous, by_current = relative_motion_jacobian(state)
+    H = np.zeros((3, state.size))
+    H[:, state.at(plane.id)] = by_plane * length
+    direction = np.outer(in_camera, t / length)
+    H[:, state.at('previous')] = direction @ by_previous[3:]
+    H[:, state.at('current')] = by_pose * length + direction @ by_current[3:]
+    S = H @ state.P @ H.T + plane.covariance * dependence
+    innovation = plane.plane - in_camera * length
+    return float(innovation @ np.linalg.solve(S, innovation))

@@ -1,0 +1,124 @@
+"""What the map knows of its planes besides their state: outline, age, support."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+from mv_slapse.filters.scene_state import SceneState
+from mv_slapse.geometry import plane as plane_geometry
+from mv_slapse.geometry import rotation
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.records import Extraction, Label, MapPlane, PlaneHandover
+import numpy as np
+
+FARTHEST = 30.0  # an outline ends this many plane depths from the camera: beyond, a block's
+#                  position on a grazing plane is noise
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """History of one plane: stamps [ns], counts, and its outline (M, 3) in {W}."""
+
+    first_stamp: int
+    last_stamp: int
+    n_observations: int = 0
+    n_macroblocks: int = 0
+    outline: np.ndarray | None = None
+    is_ground: bool = False
+
+
+class SceneMap:
+    """History of the planes that the scene filter holds."""
+
+    def __init__(self):
+        """Start empty."""
+        self._sightings: dict[int, Sighting] = {}
+
+    @property
+    def ground(self) -> int | None:
+        """Return the id of the ground seen last."""
+        grounds = [id for id, sighting in self._sightings.items() if sighting.is_ground]
+        return max(grounds, key=lambda id: self._sightings[id].last_stamp, default=None)
+
+    def last_seen(self, id: int) -> int:
+        """Return the stamp at which a plane had support last [ns]."""
+        return self._sightings[id].last_stamp
+
+    def remove(self, id: int):
+        """Forget a plane."""
+        del self._sightings[id]
+
+    def adopt(self, id: int, stamp: int):
+        """Begin the history of a plane that another filter hands over."""
+        self._sightings[id] = Sighting(stamp, stamp)
+
+    def scale(self, factor: float):
+        """Multiply all lengths by a factor."""
+        self._sightings = {
+            id: replace(s, outline=None if s.outline is None else s.outline * factor)
+            for id, s in self._sightings.items()}
+
+    def observe(self, state: SceneState, extraction: Extraction, ids: list[int]):
+        """Note which planes of ``ids`` a key frame shows, and where."""
+        seen = {plane.id: plane for plane in extraction.planes if plane.id in ids}
+        self._sightings = {id: replace(s, n_macroblocks=0) for id, s in self._sightings.items()
+                           if id in state.planes}
+        for id, plane in seen.items():
+            old = self._sightings.get(id, Sighting(extraction.stamp, extraction.stamp))
+            points = _points(state, id, extraction)
+            self._sightings[id] = Sighting(
+                old.first_stamp, extraction.stamp, old.n_observations + 1, plane.n_macroblocks,
+                _outline(state, id, old.outline, points), plane.is_ground)
+
+    def planes(self, state: SceneState) -> tuple[MapPlane, ...]:
+        """Return all planes in {W}."""
+        return tuple(self._map_plane(state, id) for id in sorted(state.planes))
+
+    def _map_plane(self, state: SceneState, id: int) -> MapPlane:
+        anchored, sighting = state.planes[id], self._sightings[id]
+        normal, depth = plane_geometry.to_normal_depth(anchored.plane)
+        J = plane_geometry.normal_depth_jacobian(anchored.plane)
+        # n X + d = 0 about the anchor is n X + (d - n anchor) = 0 in {W}.
+        J[3] -= anchored.anchor @ J[:3]
+        covariance = J @ state.error.covariance(id) @ J.T
+        outline = np.zeros((0, 3)) if sighting.outline is None else sighting.outline
+        return MapPlane(id, normal, depth - normal @ anchored.anchor, covariance, outline,
+                        sighting.first_stamp, sighting.last_stamp, sighting.n_observations,
+                        sighting.n_macroblocks, sighting.is_ground)
+
+    def handover(self, state: SceneState, id: int, stamp: int) -> PlaneHandover:
+        """Write a plane down for the obstacle tracker; it starts at rest."""
+        anchored = state.planes[id]
+        scale = 1 - anchored.plane @ anchored.anchor
+        plane = anchored.plane / scale
+        J = np.eye(3) / scale + np.outer(anchored.plane, anchored.anchor) / scale**2
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = J @ state.error.covariance(id) @ J.T
+        covariance[3:, 3:] = state.error.covariance('velocity') + np.eye(3)
+        return PlaneHandover(stamp, id, Label.MOVING, plane, np.zeros(3), covariance)
+
+
+def _points(state: SceneState, id: int, extraction: Extraction) -> np.ndarray:
+    """Return the points (M, 3) in {W} where the rays of a plane's macroblocks meet it."""
+    anchored, pose = state.planes[id], state.current
+    rays = to_rays(extraction.K, extraction.x_cur[extraction.plane_id == id].astype(float))
+    toward = rays @ pose.R.T
+    offset = pose.t - anchored.anchor
+    reach = -(1 + anchored.plane @ offset) / (toward @ anchored.plane)
+    farthest = FARTHEST * abs(1 + anchored.plane @ offset) / np.linalg.norm(anchored.plane)
+    good = (reach > 0) & (reach < farthest)
+    return pose.t + reach[good, None] * toward[good]
+
+
+def _outline(state: SceneState, id: int, old, points: np.ndarray):
+    """Return the convex hull (M, 3) in {W} of points and an older outline, on the plane."""
+    if old is not None:
+        points = np.vstack([old, points])
+    if len(points) < 3:
+        return old
+    anchored = state.planes[id]
+    normal, depth = plane_geometry.to_normal_depth(anchored.plane)
+    basis = rotation.tangent_basis(normal)
+    origin = anchored.anchor - depth * normal
+    flat = ((points - origin) @ basis).astype(np.float32)
+    hull = cv2.convexHull(flat)[:, 0].astype(float)
+    return origin + hull @ basis.T

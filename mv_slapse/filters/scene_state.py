@@ -1,0 +1,205 @@
+"""State (13) of the scene filter: two camera poses, velocities and stationary planes.
+
+Departures from [MVO]: rotations err on SO(3), R_world_from_cam = R exp(theta) with theta in the
+camera; the previous key frame's pose stays in the state (a stochastic clone), since a
+correspondence relates two poses; a plane is n / d about an anchor, the camera centre at its
+birth, with axes of {W}, so that it is never singular.
+"""
+
+from dataclasses import dataclass, field
+
+from mv_slapse.filters import ekf
+from mv_slapse.geometry import rotation
+import numpy as np
+
+CAMERA_BLOCKS = ('previous', 'current', 'velocity', 'omega')
+
+
+@dataclass
+class Pose:
+    """R_world_from_cam (3, 3) and t_world_from_cam (3,)."""
+
+    R: np.ndarray
+    t: np.ndarray
+
+    def copy(self) -> 'Pose':
+        """Return an independent copy."""
+        return Pose(self.R.copy(), self.t.copy())
+
+
+@dataclass
+class AnchoredPlane:
+    """A plane n / d in a frame with axes of {W} and its origin at ``anchor`` (3,) in {W}."""
+
+    plane: np.ndarray
+    anchor: np.ndarray
+
+
+@dataclass
+class SceneState:
+    """Nominal values and the covariance of their errors.
+
+    Errors: of a pose (theta [rad] in the camera, position in {W}); of velocity and planes
+    additive; of ``mount``, the ground normal as the camera is mounted, additive.
+    """
+
+    previous: Pose
+    current: Pose
+    velocity: np.ndarray
+    omega: np.ndarray
+    mount: np.ndarray
+    planes: dict[int, AnchoredPlane] = field(default_factory=dict)
+    error: ekf.State = field(default_factory=ekf.State)
+
+    @property
+    def size(self) -> int:
+        """Return the length of the error state."""
+        return len(self.error.mu)
+
+    @property
+    def P(self) -> np.ndarray:
+        """Return the covariance of the error state."""
+        return self.error.P
+
+    def at(self, name) -> slice:
+        """Return where a block lies in the error state."""
+        return self.error.index(name)
+
+    def add_plane(self, id: int, plane: AnchoredPlane, covariance: np.ndarray):
+        """Add a plane that is independent of the rest."""
+        self.planes[id] = plane
+        self.error.add(id, np.zeros(3), covariance)
+
+    def remove_plane(self, id: int):
+        """Marginalise a plane out."""
+        del self.planes[id]
+        self.error.remove(id)
+
+    def moved(self, e: np.ndarray) -> 'SceneState':
+        """Return the nominal values moved by an error (n,); the covariance is shared."""
+        pose = {name: self._moved_pose(name, e[self.at(name)]) for name in ('previous', 'current')}
+        planes = {id: AnchoredPlane(p.plane + e[self.at(id)], p.anchor)
+                  for id, p in self.planes.items()}
+        mount = self.mount + e[self.at('mount')]
+        return SceneState(pose['previous'], pose['current'], self.velocity + e[self.at('velocity')],
+                          self.omega + e[self.at('omega')], mount / np.linalg.norm(mount),
+                          planes, self.error)
+
+    def _moved_pose(self, name: str, e: np.ndarray) -> Pose:
+        pose = getattr(self, name)
+        return Pose(pose.R @ rotation.exp(e[:3]), pose.t + e[3:])
+
+    def error_to(self, other: 'SceneState') -> np.ndarray:
+        """Return the error (n,) that moves the camera's poses to another state's."""
+        e = np.zeros(self.size)
+        for name in ('previous', 'current'):
+            mine, theirs = getattr(self, name), getattr(other, name)
+            e[self.at(name)] = np.r_[rotation.log(mine.R.T @ theirs.R), theirs.t - mine.t]
+        return e
+
+
+def start(mount: np.ndarray, velocity_sigma: float, omega_sigma: float,
+          mount_sigma: float) -> SceneState:
+    """Return the state at the first key frame, which is {W}; its pose is known exactly."""
+    state = SceneState(Pose(np.eye(3), np.zeros(3)), Pose(np.eye(3), np.zeros(3)), np.zeros(3),
+                       np.zeros(3), mount)
+    state.error.add('previous', np.zeros(6), np.zeros((6, 6)))
+    state.error.add('current', np.zeros(6), np.zeros((6, 6)))
+    state.error.add('velocity', np.zeros(3), np.eye(3) * velocity_sigma**2)
+    state.error.add('omega', np.zeros(3), np.eye(3) * omega_sigma**2)
+    state.error.add('mount', np.zeros(3), np.eye(3) * mount_sigma**2)
+    return state
+
+
+def propagate(state: SceneState, dt: float, acceleration: float, angular_acceleration: float):
+    """Clone the current pose and move the camera by dt [s] at constant velocity.
+
+    White noise of acceleration [unit/s^1.5] and angular acceleration [rad/s^1.5] densities
+    enters the velocities and, integrated, the pose.
+    """
+    turn = rotation.exp(state.omega * dt)
+    F = np.eye(state.size)
+    prev, cur, vel, om = (state.at(name) for name in CAMERA_BLOCKS)
+    F[prev] = 0
+    F[prev, cur] = np.eye(6)
+    F[cur.start:cur.start + 3, cur.start:cur.start + 3] = turn.T
+    F[cur.start:cur.start + 3, om] = dt * np.eye(3)
+    F[cur.start + 3:cur.stop, vel] = dt * np.eye(3)
+    Q = np.zeros_like(F)
+    _integrated_noise(Q, slice(cur.start + 3, cur.stop), vel, acceleration, dt)
+    _integrated_noise(Q, slice(cur.start, cur.start + 3), om, angular_acceleration, dt)
+    state.previous = state.current.copy()
+    state.current = Pose(state.current.R @ turn, state.current.t + state.velocity * dt)
+    ekf.predict(state.error, state.error.mu, F, Q)
+
+
+def _integrated_noise(Q, value: slice, rate: slice, density: float, dt: float):
+    """Add the covariance of a rate driven by white noise, and of its integral."""
+    q = density**2
+    Q[value, value] += np.eye(3) * q * dt**3 / 3
+    Q[rate, rate] += np.eye(3) * q * dt
+    Q[value, rate] += np.eye(3) * q * dt**2 / 2
+    Q[rate, value] += np.eye(3) * q * dt**2 / 2
+
+
+def plane_in_camera(state: SceneState, id: int) -> np.ndarray:
+    """Return a plane n / d in the current camera, (16) of [MVO]."""
+    plane, pose = state.planes[id], state.current
+    return pose.R.T @ plane.plane / (1 + plane.plane @ (pose.t - plane.anchor))
+
+
+def plane_in_camera_jacobian(state: SceneState, id: int):
+    """Return the derivatives of plane_in_camera by the pose's error (3, 6) and the plane (3, 3)."""
+    plane, pose = state.planes[id], state.current
+    offset = pose.t - plane.anchor
+    scale = 1 + plane.plane @ offset
+    turned = pose.R.T @ plane.plane
+    by_pose = np.c_[rotation.skew(turned / scale), -np.outer(turned, plane.plane) / scale**2]
+    return by_pose, pose.R.T / scale - np.outer(turned, offset) / scale**2
+
+
+def relative_motion(state: SceneState):
+    """Return R_cur_from_prev, t_cur_from_prev of the two poses of the state."""
+    R_cam_from_world = state.current.R.T
+    return (R_cam_from_world @ state.previous.R,
+            R_cam_from_world @ (state.previous.t - state.current.t))
+
+
+def relative_motion_jacobian(state: SceneState):
+    """Return the derivatives (6, 6) of (w, t) by the errors of the previous and current pose.
+
+    R_cur_from_prev -> exp(w) R_cur_from_prev as in geometry.two_view.
+    """
+    R_cp, t_cp = relative_motion(state)
+    by_previous, by_current = np.zeros((6, 6)), np.zeros((6, 6))
+    by_previous[:3, :3], by_previous[3:, 3:] = R_cp, state.current.R.T
+    by_current[:3, :3], by_current[3:, 3:] = -np.eye(3), -state.current.R.T
+    by_current[3:, :3] = rotation.skew(t_cp)
+    return by_previous, by_current
+
+
+def observation_jacobian(state: SceneState, ids: list[int]) -> np.ndarray:
+    """Return the derivative (6 + 3 P, n) of (w, t, planes in the camera) by the error state.
+
+    Chains the normal equations of geometry.two_view to the state, (19) of [SLAPSE].
+    """
+    G = np.zeros((6 + 3 * len(ids), state.size))
+    G[:6, state.at('previous')], G[:6, state.at('current')] = relative_motion_jacobian(state)
+    for i, id in enumerate(ids):
+        row = slice(6 + 3 * i, 9 + 3 * i)
+        G[row, state.at('current')], G[row, state.at(id)] = plane_in_camera_jacobian(state, id)
+    return G
+
+
+def scale_lengths(state: SceneState, factor: float):
+    """Multiply every length of the state by a factor: the unit of length has become known."""
+    D = np.ones(state.size)
+    for name in ('previous', 'current'):
+        D[state.at(name).start + 3:state.at(name).stop] = factor
+        getattr(state, name).t *= factor
+    D[state.at('velocity')] = factor
+    state.velocity = state.velocity * factor
+    for id, plane in state.planes.items():
+        D[state.at(id)] = 1 / factor
+        plane.plane, plane.anchor = plane.plane / factor, plane.anchor * factor
+    state.error.P = D[:, None] * state.error.P * D

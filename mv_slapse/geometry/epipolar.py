@@ -1,0 +1,92 @@
+"""Two views of stationary points: epipolar error, derotation, inverse depth.
+
+Motion as in [MVO]: X_cur = R X_prev + t, so x_cur^T F x_prev = 0 with F = K^-T [t]x R K^-1, (4).
+Rays are K^-1 x with last coordinate 1. Inverse depths are in units of 1/|t|.
+"""
+
+import numpy as np
+
+from mv_slapse.geometry.rotation import skew
+
+
+def fundamental(K: np.ndarray, R_cur_from_prev: np.ndarray, t_cur_from_prev: np.ndarray):
+    """Return F (3, 3) with x_cur^T F x_prev = 0, (4) of [MVO]."""
+    K_inv = np.linalg.inv(K)
+    return K_inv.T @ skew(t_cur_from_prev) @ R_cur_from_prev @ K_inv
+
+
+def epipolar_error(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
+    """Signed distance of x_prev from its epipolar line, the Sampson error of (5) in [MVO].
+
+    A block's centre is exact and its match is not, so all noise is in x_prev and the first-order
+    (Sampson) error is this distance.
+
+    Parameters
+    ----------
+    rays_cur, rays_prev : (N, 3) arrays
+    focal : (2,) array
+        fx, fy [px].
+    R_cur_from_prev, t_cur_from_prev : (3, 3), (3,) arrays
+        Motion; any length of t.
+
+    Returns
+    -------
+    error : (N,) array
+        [px].
+    """
+    c = np.cross(rays_cur, t_cur_from_prev)
+    line = c @ R_cur_from_prev
+    return np.einsum('ij,ij->i', rays_prev, line) / _line_norm(line, focal)
+
+
+def epipolar_jacobian(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
+    """Return epipolar_error (N,) [px] and its derivative (N, 6) by (w, t), R -> exp(w) R."""
+    c = np.cross(rays_cur, t_cur_from_prev)
+    line = c @ R_cur_from_prev
+    norm = _line_norm(line, focal)
+    error = np.einsum('ij,ij->i', rays_prev, line) / norm
+    # error = y . c / norm with y = R x_prev; norm^2 = sum((line / focal)^2), line = R^T c.
+    y = rays_prev @ R_cur_from_prev.T
+    slope = line[:, :2] / np.square(focal) @ R_cur_from_prev[:, :2].T
+    e_n = (error / norm)[:, None]
+    by_c = y - e_n * slope
+    jacobian = np.empty((len(error), 6))
+    jacobian[:, :3] = np.cross(y, c) - e_n * np.cross(slope, c)
+    jacobian[:, 3:] = np.cross(by_c, rays_cur)
+    return error, jacobian / norm[:, None]
+
+
+def _line_norm(line, focal):
+    """Length of the pixel normal of lines given in ray coordinates, never zero."""
+    return np.maximum(np.hypot(line[:, 0] / focal[0], line[:, 1] / focal[1]), 1e-12)
+
+
+def derotate(rays_prev: np.ndarray, R_cur_from_prev: np.ndarray) -> np.ndarray:
+    """Rays x'_prev ~ R x_prev (N, 3) as the current camera would see them untranslated, (6)."""
+    y = rays_prev @ R_cur_from_prev.T
+    return y / y[:, 2:]
+
+
+def inverse_depth(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
+    """Inverse depth of each point in camera k and its sensitivity to the match.
+
+    From X_prev ~ R^T (x_cur - rho t): with y = R x_prev / z, rho (t_xy - y t_z) = x_cur - y,
+    solved along the epipolar line.
+
+    Returns
+    -------
+    rho : (N,) array
+        Depth along the optical axis, inverted [1/|t|]; negative: behind the camera or moving.
+    per_pixel : (N,) array
+        |d rho / d x_prev| along the line [1/|t|/px].
+    """
+    y = derotate(rays_prev, R_cur_from_prev)[:, :2]
+    g = (t_cur_from_prev[:2] - y * t_cur_from_prev[2]) * focal
+    length = np.maximum(np.hypot(g[:, 0], g[:, 1]), 1e-9)
+    rho = np.einsum('ij,ij->i', (rays_cur[:, :2] - y) * focal, g) / length**2
+    return rho, np.abs(1 - rho * t_cur_from_prev[2]) / length
+
+
+def parallax(rays_cur, rays_prev, focal, R_cur_from_prev):
+    """Pixel displacement x_cur - x'_prev (N, 2) that is left after rotation is removed, (6)."""
+    return (rays_cur[:, :2] - derotate(rays_prev, R_cur_from_prev)[:, :2]) * focal

@@ -1,0 +1,48 @@
+"""Planes in inhomogeneous form, ``n / d``.
+
+A plane is a vector ``plane`` of shape (3,) [1/m]: a point ``X`` is on it when ``plane @ X == -1``,
+that is ``n @ X + d == 0`` for its normal ``n`` and depth ``d``. Points and plane share one frame.
+On a ray ``x`` (last coordinate 1) its inverse depth is ``-plane @ x``.
+"""
+
+import numpy as np
+
+
+def from_normal_depth(normal: np.ndarray, depth: float) -> np.ndarray:
+    """Return the inhomogeneous form of the plane ``normal @ X + depth == 0``."""
+    return normal / depth
+
+
+def to_normal_depth(plane: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the unit normal and the positive depth [m] of a plane."""
+    depth = 1 / np.linalg.norm(plane)
+    return plane * depth, float(depth)
+
+
+def transform(plane_a: np.ndarray, R_b_from_a: np.ndarray, t_b_from_a: np.ndarray) -> np.ndarray:
+    """Express a plane of frame a in frame b, where ``X_b = R_b_from_a @ X_a + t_b_from_a``."""
+    rotated = R_b_from_a @ plane_a
+    return rotated / (1 - rotated @ t_b_from_a)
+
+
+def shift(plane: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """Move a plane by a displacement [m] in its own frame, (15) of [MVO]."""
+    return plane / (1 - plane @ displacement)
+
+
+def shift_jacobian(plane: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """Return the derivative of ``shift`` by the plane, (3, 3)."""
+    scale = 1 - plane @ displacement
+    return np.eye(3) / scale + np.outer(plane, displacement) / scale**2
+
+
+def normal_depth_jacobian(plane: np.ndarray) -> np.ndarray:
+    """Return the derivative (4, 3) of (normal, depth) by the plane."""
+    depth = 1 / np.linalg.norm(plane)
+    normal = plane * depth
+    return np.vstack([depth * (np.eye(3) - np.outer(normal, normal)), -depth**2 * normal])
+
+
+def intersect_rays(plane: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """Return the points (N, 3) where rays (N, 3) meet the plane."""
+    return rays / -(rays @ plane)[:, None]

@@ -1,0 +1,127 @@
+"""The joint cost of a key frame pair, (10) of [MVO], and its normal equations.
+
+A correspondence on a plane is a two-dimensional observation of the homography (9), one off all
+planes observes the epipolar line only, (5). The same equations serve the re-estimation of a pair
+and, with the state's derivative chained on, the update of the scene filter: (19) of [SLAPSE] in
+information form.
+"""
+
+from dataclasses import dataclass
+
+from mv_slapse.geometry import epipolar, homography
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Undistorted correspondences with what is computed of them once.
+
+    Attributes
+    ----------
+    rays_cur, rays_prev : (N, 3) arrays
+    x_prev : (N, 2) array
+        [px].
+    sigma : (N,) array
+        Standard deviation of a coordinate of x_prev [px].
+    K : (3, 3) array
+        [px].
+    """
+
+    rays_cur: np.ndarray
+    rays_prev: np.ndarray
+    x_prev: np.ndarray
+    sigma: np.ndarray
+    K: np.ndarray
+
+    @property
+    def focal(self) -> np.ndarray:
+        """Return fx, fy [px]."""
+        return np.array([self.K[0, 0], self.K[1, 1]])
+
+    def __getitem__(self, mask) -> 'Pair':
+        """Return the correspondences of a mask or an index."""
+        return Pair(self.rays_cur[mask], self.rays_prev[mask], self.x_prev[mask],
+                    self.sigma[mask], self.K)
+
+    def __len__(self) -> int:
+        """Return the number of correspondences."""
+        return len(self.sigma)
+
+
+def epipolar_terms(pair: Pair, R, t, width: float):
+    """Normal equations of the epipolar errors by (w, t): A (6, 6), b (6,), cost.
+
+    Geman-McClure kernel of ``width`` standard deviations; the cost is minus twice its log
+    likelihood, bounded by width^2 for each correspondence.
+    """
+    error, J = epipolar.epipolar_jacobian(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
+    m2 = np.square(error / pair.sigma)
+    weight = 1 / np.square(1 + m2 / width**2) / pair.sigma**2
+    weighted = weight[:, None] * J
+    return weighted.T @ J, -weighted.T @ error, float(np.sum(m2 / (1 + m2 / width**2)))
+
+
+def plane_terms(pair: Pair, R, t, plane, relief: float, width: float):
+    """Normal equations of the homography errors of one plane by (w, t, plane).
+
+    Parameters
+    ----------
+    relief : float
+        Standard deviation of the surface's depth about its plane, as a share of depth: along the
+        epipolar line it adds this share of the parallax to the noise.
+    width : float
+        Kernel width, as in epipolar_terms.
+
+    Returns
+    -------
+    A : (9, 9) array
+    b : (9,) array
+    cost : float
+    """
+    predicted, J = homography.plane_transfer_jacobian(pair.rays_cur, pair.K, R, t, plane)
+    error = pair.x_prev - predicted
+    W = plane_weights(pair, R, predicted, relief)
+    m2 = np.einsum('ni,nij,nj->n', error, W, error)
+    W = W / np.square(1 + m2 / width**2)[:, None, None]
+    WJ = W @ J
+    flat = J.reshape(-1, 9)
+    return (flat.T @ WJ.reshape(-1, 9), WJ.reshape(-1, 9).T @ error.ravel(),
+            float(np.sum(m2 / (1 + m2 / width**2))))
+
+
+def plane_weights(pair: Pair, R, predicted, relief: float) -> np.ndarray:
+    """Inverse covariances (N, 2, 2) of x_prev on a plane with relief [1/px^2]."""
+    at_infinity = pair.rays_cur @ R
+    along = predicted - (at_infinity[:, :2] / at_infinity[:, 2:] * pair.focal + pair.K[:2, 2])
+    variance = pair.sigma**2
+    gain = relief**2 / (variance + relief**2 * np.sum(along**2, axis=1))
+    outer = along[:, :, None] * along[:, None, :]
+    return (np.eye(2) - gain[:, None, None] * outer) / variance[:, None, None]
+
+
+def normal_equations(pair: Pair, R, t, planes, index, relief: float, width: float):
+    """Normal equations of (10) by (w, t, plane 0, plane 1, ...).
+
+    Parameters
+    ----------
+    planes : (P, 3) array
+        n / d in camera k.
+    index : (N,) int array
+        Plane of each correspondence; -1: epipolar error only.
+
+    Returns
+    -------
+    A : (6 + 3 P, 6 + 3 P) array
+    b : (6 + 3 P,) array
+    cost : float
+    """
+    size = 6 + 3 * len(planes)
+    A, b = np.zeros((size, size)), np.zeros(size)
+    A[:6, :6], b[:6], cost = epipolar_terms(pair[index < 0], R, t, width)
+    for i, plane in enumerate(planes):
+        A_i, b_i, cost_i = plane_terms(pair[index == i], R, t, plane, relief, width)
+        at = np.r_[0:6, 6 + 3 * i:9 + 3 * i]
+        A[np.ix_(at, at)] += A_i
+        b[at] += b_i
+        cost += cost_i
+    return A, b, cost

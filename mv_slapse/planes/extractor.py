@@ -1,0 +1,230 @@
+"""Planes, camera motion and labels of each key frame pair, [MVO] 4: PlaneExtractor.extract."""
+
+from dataclasses import dataclass, replace
+
+from mv_slapse.config import ExtractionSettings
+from mv_slapse.geometry import epipolar, two_view
+from mv_slapse.geometry.camera import Camera, to_rays, undistort
+from mv_slapse.planes import camera_motion, extraction, ground, labeling, lattice, refinement
+from mv_slapse.planes.camera_motion import MotionFit
+from mv_slapse.planes.consensus import Depths
+from mv_slapse.planes.extraction import PlaneFit
+from mv_slapse.records import (
+    CameraMotion,
+    Correspondences,
+    Extraction,
+    Label,
+    MotionStatus,
+    PlaneObservation,
+)
+import numpy as np
+
+MEMORY_TIME = 0.5e9  # ns: a plane's macroblocks are looked for again this long
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What the last key frame leaves for the next: motion, labels of cells, ground normal."""
+
+    stamp: int | None = None
+    motion: MotionFit | None = None
+    grid: np.ndarray | None = None
+    ground_id: int = -1
+    ground_normal: np.ndarray | None = None
+    noise: float = 1.0
+    next_id: int = 0
+
+
+class PlaneExtractor:
+    """Turns correspondences into camera motion, labelled planes and labelled macroblocks."""
+
+    def __init__(self, camera: Camera, settings: ExtractionSettings):
+        """Start without memory of any plane."""
+        self._camera = camera
+        self._settings = settings
+        self._memory = Memory()
+        self._rules = extraction.Rules(
+            settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
+            settings.max_planes, settings.max_uncertainty)
+
+    def extract(self, correspondences: Correspondences) -> Extraction:
+        """Extract what one key frame pair shows; figure 1 of [MVO], top.
+
+        Returns an Extraction whose motion status is UNKNOWN, with a reason, where the pair is
+        broken or no motion explains enough of its vectors.
+        """
+        pair = self._pair(correspondences)
+        settings, blank = self._settings, self._blank(correspondences, pair)
+        reason = correspondences.reason or _too_few(pair)
+        if reason:
+            return replace(blank, reason=reason)
+        if _stands_still(pair, settings.standstill_share):
+            return self._standing(blank)
+        fit = self._motion(pair)
+        pair, noise = _calibrated(pair, fit, self._memory.noise)
+        evidence = labeling.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
+                                     settings.relief)
+        if evidence.epipolar_inlier.mean() < settings.min_inliers:
+            return replace(blank, reason=_disagreement(evidence))
+        planes = self._planes(blank, pair, evidence, fit)
+        fit, planes, evidence = self._refined(pair, fit, planes, evidence)
+        return self._remember(blank, pair, fit, planes, evidence, noise)
+
+    def _pair(self, correspondences: Correspondences) -> two_view.Pair:
+        """Undistort; columns are rounded to float32 as messages hold them."""
+        x_cur = undistort(self._camera, correspondences.x_cur).astype(np.float32)
+        x_prev = undistort(self._camera, correspondences.x_prev).astype(np.float32)
+        K = self._camera.K
+        return two_view.Pair(to_rays(K, x_cur.astype(float)), to_rays(K, x_prev.astype(float)),
+                             x_prev.astype(float), correspondences.sigma.astype(float), K)
+
+    def _blank(self, correspondences, pair) -> Extraction:
+        """Return an extraction that knows nothing yet."""
+        n = len(pair)
+        return Extraction(
+            correspondences.stamp, correspondences.previous_stamp, correspondences.width,
+            correspondences.height, correspondences.kind, self._camera.K,
+            CameraMotion(MotionStatus.UNKNOWN),
+            x_cur=undistort(self._camera, correspondences.x_cur).astype(np.float32),
+            x_prev=pair.x_prev.astype(np.float32), sigma=correspondences.sigma,
+            block=correspondences.block, label=np.full(n, Label.UNKNOWN, np.int8),
+            plane_id=np.full(n, -1, np.int32))
+
+    def _standing(self, blank: Extraction) -> Extraction:
+        """Label a key frame pair of a camera that stands still."""
+        still = np.linalg.norm(blank.x_cur - blank.x_prev, axis=1) < 0.5
+        label = np.where(still, Label.STATIONARY, Label.UNKNOWN).astype(np.int8)
+        covariance = np.diag([1e-8] * 3 + [0.0] * 3)
+        self._memory = replace(self._memory, stamp=blank.stamp)
+        return replace(blank, label=label,
+                       motion=CameraMotion(MotionStatus.STANDSTILL, covariance=covariance))
+
+    def _motion(self, pair: two_view.Pair) -> MotionFit:
+        """Estimate the motion from the best of prediction and five points, [MVO] 4.1."""
+        starts = camera_motion.from_essential_matrix(
+            pair.rays_cur, pair.rays_prev, 0.7 / pair.K[0, 0])[:1]
+        if self._memory.motion is not None:
+            starts.append((self._memory.motion.R_cur_from_prev,
+                           self._memory.motion.t_cur_from_prev))
+        if not starts:
+            starts = [(np.eye(3), np.array([0.0, 0.0, -1.0]))]
+        fits = [camera_motion.refine(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, *start)
+                for start in starts]
+        best = min(fits, key=lambda fit: fit.cost)
+        t, _ = labeling.orient(pair, best.R_cur_from_prev, best.t_cur_from_prev)
+        return replace(best, t_cur_from_prev=t)
+
+    def _planes(self, blank, pair, evidence, fit) -> list[PlaneFit]:
+        """Find the ground, then known planes, then new ones, among stationary blocks."""
+        rng = np.random.default_rng(self._settings.seed)
+        depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
+        free = evidence.epipolar_inlier & ~evidence.at_infinity & ~evidence.backward
+        found = []
+        normal, tilt = self._ground_prior(fit)
+        floor = ground.find_ground(depths, free, normal, tilt, self._rules, rng)
+        if floor is not None:
+            found.append(replace(floor, id=self._memory.ground_id))
+            free = free & ~floor.member
+        prior_id = self._prior_id(blank)
+        prior_id[prior_id == self._memory.ground_id] = -1
+        found += extraction.known_planes(depths, free, prior_id, self._rules, rng)
+        for plane in found:
+            free = free & ~plane.member
+        room = self._rules.max_planes - len(found)
+        return found + extraction.new_planes(depths, free, room, self._rules, rng)
+
+    def _ground_prior(self, fit: MotionFit):
+        """Return the expected ground normal in camera k and its standard deviation [rad]."""
+        if self._memory.ground_normal is None:
+            return ground.UP_CAM, self._settings.ground_tilt
+        return (fit.R_cur_from_prev @ self._memory.ground_normal, self._settings.ground_wobble)
+
+    def _prior_id(self, blank: Extraction) -> np.ndarray:
+        """Return the plane id that the previous key frame had where each block comes from."""
+        memory = self._memory
+        if memory.grid is None or blank.previous_stamp - memory.stamp > MEMORY_TIME:
+            return np.full(len(blank.x_prev), -1)
+        return lattice.lookup(memory.grid, blank.x_prev)
+
+    def _refined(self, pair, fit, planes, evidence):
+        """Re-estimate motion and planes together, (10), and judge the blocks again."""
+        settings = self._settings
+        index = np.full(len(pair), -1)
+        for i, plane in enumerate(planes):
+            index[plane.member] = i
+        stationary = evidence.epipolar_inlier & ~evidence.backward
+        R, t, values, covariance = refinement.reestimate(
+            pair[stationary], fit.R_cur_from_prev, fit.t_cur_from_prev,
+            [plane.plane for plane in planes], index[stationary], settings.relief)
+        fit = replace(fit, R_cur_from_prev=R, t_cur_from_prev=t, covariance=covariance[:6, :6])
+        planes = [replace(plane, plane=value,
+                          covariance=covariance[6 + 3 * i:9 + 3 * i, 6 + 3 * i:9 + 3 * i])
+                  for i, (plane, value) in enumerate(zip(planes, values, strict=True))]
+        evidence = labeling.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
+                                     settings.relief)
+        return fit, planes, evidence
+
+    def _remember(self, blank, pair, fit, planes, evidence, noise) -> Extraction:
+        """Give ids, write the labels down and keep what the next pair needs."""
+        label = np.full(len(pair), Label.UNKNOWN, np.int8)
+        label[evidence.epipolar_inlier & ~evidence.backward] = Label.STATIONARY
+        label[evidence.at_infinity] = Label.INFINITY
+        plane_id = np.full(len(pair), -1, np.int32)
+        next_id, observations = self._memory.next_id, []
+        for plane in planes:
+            if plane.id < 0:
+                plane, next_id = replace(plane, id=next_id), next_id + 1
+            plane_id[plane.member] = plane.id
+            observations.append(PlaneObservation(
+                plane.id, Label.STATIONARY, plane.plane, plane.covariance,
+                is_ground=plane.is_ground,
+                n_macroblocks=lattice.count_macroblocks(blank.x_cur[plane.member])))
+        floor = next((plane for plane in observations if plane.is_ground), None)
+        normal, _ = self._ground_prior(fit)
+        if floor is not None:
+            normal = floor.plane / np.linalg.norm(floor.plane)
+        self._memory = Memory(
+            blank.stamp, fit,
+            lattice.paint(blank.width, blank.height, blank.x_cur, blank.block, plane_id),
+            floor.id if floor else self._memory.ground_id,
+            normal if floor or self._memory.ground_normal is not None else None, noise, next_id)
+        motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev,
+                              fit.covariance, bool(fit.t_cur_from_prev[2] < 0))
+        return replace(blank, motion=motion, planes=tuple(observations), label=label,
+                       plane_id=plane_id, sigma=pair.sigma.astype(np.float32))
+
+
+def _too_few(pair) -> str:
+    """Say why a pair cannot be used, or nothing."""
+    n, least = len(pair), camera_motion.MIN_CORRESPONDENCES
+    return '' if n >= least else f'{n} motion vectors, at least {least} are needed'
+
+
+def _disagreement(evidence) -> str:
+    """Say how little a motion explains."""
+    share = 100 * evidence.epipolar_inlier.mean()
+    return (f'no camera motion explains more than {share:.0f} % of the motion vectors: '
+            'the picture moves faster than the encoder searches, or movers fill it')
+
+
+def _stands_still(pair: two_view.Pair, share: float) -> bool:
+    """Tell whether so many vectors are zero that the camera must be standing."""
+    moved = (pair.rays_cur[:, :2] - pair.rays_prev[:, :2]) * pair.focal
+    return np.mean(np.hypot(moved[:, 0], moved[:, 1]) < 0.25) >= share
+
+
+def _calibrated(pair: two_view.Pair, fit: MotionFit, noise: float):
+    """Scale sigma to the errors that this pair shows, smoothed over the last pairs.
+
+    The scale is the median epipolar error of the blocks within three sigma, over the median of
+    a Gaussian cut there: wrong vectors do not count.
+    """
+    error = np.abs(epipolar.epipolar_error(pair.rays_cur, pair.rays_prev, pair.focal,
+                                           fit.R_cur_from_prev, fit.t_cur_from_prev))
+    for _ in range(3):
+        ratio = error / (noise * pair.sigma)
+        close = ratio < 3
+        if close.sum() < camera_motion.MIN_CORRESPONDENCES:
+            break
+        noise = float(np.clip(noise * np.median(ratio[close]) / 0.6724, 0.3, 4.0))
+    return replace(pair, sigma=noise * pair.sigma), noise

@@ -1,0 +1,90 @@
+"""What each macroblock says of itself once the camera's motion is known, [MVO] 4.2."""
+
+from dataclasses import dataclass
+
+from mv_slapse.geometry import epipolar, two_view
+from mv_slapse.planes.camera_motion import MotionFit
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Constraints of Definition 1 of [MVO], as values and masks over the correspondences.
+
+    Attributes
+    ----------
+    epipolar_error : (N,) array
+        In standard deviations.
+    epipolar_inlier : (N,) bool array
+        (3).
+    rho, sigma_rho : (N,) arrays
+        Inverse depth and its standard deviation [1/baseline].
+    parallax : (N,) array
+        ||x'_prev - x_cur||, [px].
+    at_infinity : (N,) bool array
+        (7): too little parallax for a depth.
+    backward : (N,) bool array
+        The direction constraint fails: the block moves against the stationary flow.
+    """
+
+    epipolar_error: np.ndarray
+    epipolar_inlier: np.ndarray
+    rho: np.ndarray
+    sigma_rho: np.ndarray
+    parallax: np.ndarray
+    at_infinity: np.ndarray
+    backward: np.ndarray
+
+
+def before_camera(rays_cur, rays_prev, focal, R, t) -> np.ndarray:
+    """Return True where a block's motion puts it before the camera, (N,).
+
+    The vote of [MVO] 4.2 (alpha < 90 degrees for a camera that moves forward, >= 90 for one that
+    moves backward), cast on the sign of (t_xy - x'_prev t_z) . (x_cur - x'_prev): the epipole
+    e = t_xy / t_z is kept homogeneous, so that a camera moving sideways has a vote too.
+    """
+    y = epipolar.derotate(rays_prev, R)[:, :2]
+    outward = (t[:2] - y * t[2]) * focal
+    return np.einsum('ij,ij->i', outward, (rays_cur[:, :2] - y) * focal) > 0
+
+
+def orient(pair: two_view.Pair, R, t) -> tuple[np.ndarray, bool]:
+    """Return the translation with the sign that puts most points before the camera.
+
+    The majority vote of [MVO] 4.2, each block counting by its parallax in standard deviations:
+    a far block's direction is noise. Also returns whether the camera moves forward.
+    """
+    vote = before_camera(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
+    length = np.linalg.norm(epipolar.parallax(pair.rays_cur, pair.rays_prev, pair.focal, R),
+                            axis=1)
+    weight = np.minimum(length / pair.sigma, 10.0)
+    if np.sum(np.where(vote, weight, -weight)) < 0:
+        t = -t
+    return t, bool(t[2] < 0)
+
+
+def evidence(pair: two_view.Pair, fit: MotionFit, epsilon_f: float, epsilon_m: float,
+             relief: float) -> Evidence:
+    """Judge each correspondence under a camera motion.
+
+    Parameters
+    ----------
+    pair : Pair
+    fit : MotionFit
+        Oriented motion.
+    epsilon_f : float
+        Largest epipolar error of an inlier in standard deviations, (3).
+    epsilon_m : float
+        Smallest parallax of a block not at infinity [px], (7).
+    relief : float
+        Depth of a surface about its plane, as a share of depth.
+    """
+    R, t, focal = fit.R_cur_from_prev, fit.t_cur_from_prev, pair.focal
+    error = epipolar.epipolar_error(pair.rays_cur, pair.rays_prev, focal, R, t) / pair.sigma
+    rho, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, focal, R, t)
+    sigma_rho = np.hypot(per_pixel * pair.sigma, relief * rho)
+    parallax = np.linalg.norm(epipolar.parallax(pair.rays_cur, pair.rays_prev, focal, R), axis=1)
+    inlier = np.abs(error) < epsilon_f
+    return Evidence(error, inlier, rho, sigma_rho, parallax,
+                    inlier & (parallax < epsilon_m),
+                    inlier & (parallax >= epsilon_m) & (rho < -3 * per_pixel * pair.sigma))
