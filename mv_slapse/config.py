@@ -51,6 +51,14 @@ class DecoderSettings(Checked):
         0.1, '-', 'the same, as a share of the length of the vector', 0.0)
     min_support: float = setting(
         2.0, '-', 'least support of a vector by its own and the 8 macroblocks around', 0.0, 9.0)
+    min_parallax: float = setting(
+        4.0, 'px', 'median parallax after removing rotation at which a pair is long enough; '
+        'shorter ones are chained', 0.0)
+    max_chain: int = setting(12, '-', 'most pairs that are chained into one', 1)
+    max_chain_time: float = setting(
+        0.25, 's', 'longest time that a chain spans, also where the camera stands still', 0.0)
+    max_chain_flow: float = setting(
+        32.0, 'px', 'median motion at which a chain ends whatever its parallax', 1.0)
 
 
 @dataclass(frozen=True)

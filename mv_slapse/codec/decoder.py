@@ -1,5 +1,6 @@
 """Packets in, correspondences out: the decoder as one object with one verb."""
 
+from mv_slapse.codec.chaining import Chainer
 from mv_slapse.codec.frames import FrameDecoder
 from mv_slapse.codec.merging import merge
 from mv_slapse.codec.motion_vectors import FrameVectors
@@ -16,7 +17,7 @@ class CorrespondenceDecoder:
     def __init__(self, settings: DecoderSettings, camera: Camera | None = None):
         """Hold the settings; the first packet opens the codec."""
         self._settings = settings
-        self._camera = camera
+        self._chainer = Chainer(settings, camera)
         self._frames = FrameDecoder(with_luma=False)
         self._segments = SegmentBuilder()
 
@@ -29,11 +30,12 @@ class CorrespondenceDecoder:
 
     def flush(self) -> list[Correspondences]:
         """Return what is still held back at the end of the stream."""
-        return self._join(self._frames.flush())
+        return self._join(self._frames.flush()) + self._chainer.flush()
 
     def _join(self, frames: list[FrameVectors]) -> list[Correspondences]:
         segments = [self._segments.add(frame) for frame in frames]
-        return [self._correspondences(segment) for segment in segments if segment]
+        return [pair for segment in segments if segment
+                for pair in self._chainer.add(self._correspondences(segment))]
 
     def _correspondences(self, segment: Segment) -> Correspondences:
         if segment.kind is SegmentKind.BROKEN:

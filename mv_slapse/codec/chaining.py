@@ -1,0 +1,142 @@
+"""Pairs of key frames that are too close together, joined into longer ones.
+
+At 30 frames a second two P frames see too little parallax to tell depth. A block of key frame k
+lies somewhere in k-1; what moved that place from k-1 to the frame before moves the block on, and
+so on to the anchor, the last key frame that was published (ALGORITHM 2, trap 5).
+"""
+
+from dataclasses import replace
+
+from mv_slapse.config import DecoderSettings
+from mv_slapse.geometry.camera import Camera, to_rays, undistort
+from mv_slapse.records import Correspondences, SegmentKind
+import numpy as np
+
+MACROBLOCK = 16  # px
+SAMPLE = 400  # correspondences that are enough to measure the parallax
+NANOSECONDS = 1e9
+
+
+class Chainer:
+    """Holds pairs back until their parallax is large enough or their time is up."""
+
+    def __init__(self, settings: DecoderSettings, camera: Camera | None = None):
+        """Start without an anchor; without a camera the parallax is measured in the picture."""
+        self._settings = settings
+        self._camera = camera
+        self._chain: Correspondences | None = None
+        self._links = 0
+
+    def add(self, pair: Correspondences) -> list[Correspondences]:
+        """Return what can be published after this pair: contiguous pairs in order of time."""
+        if pair.kind is SegmentKind.BROKEN:
+            return [*self.flush(), pair]
+        if self._chain is None:
+            self._chain, self._links = pair, 1
+        else:
+            self._chain = chain(pair, self._chain, self._settings)
+            self._links += 1
+        return self.flush() if self._is_long_enough() else []
+
+    def flush(self) -> list[Correspondences]:
+        """Return the pair held back, whatever its parallax."""
+        held, self._chain = self._chain, None
+        return [] if held is None else [held]
+
+    def _is_long_enough(self) -> bool:
+        pair, settings = self._chain, self._settings
+        age = (pair.stamp - pair.previous_stamp) / NANOSECONDS
+        if age >= settings.max_chain_time or self._links >= settings.max_chain:
+            return True
+        flow = pair.x_prev - pair.x_cur
+        if len(flow) and np.median(np.hypot(*flow.T)) >= settings.max_chain_flow:
+            return True
+        return parallax(pair, self._camera) >= settings.min_parallax
+
+
+def chain(newer: Correspondences, older: Correspondences,
+          settings: DecoderSettings) -> Correspondences:
+    """Return the pair from the newer's key frame to the older's previous one.
+
+    Each match of the newer pair is moved on by the mean motion of the (up to four) macroblocks
+    of the older pair that surround it; a match whose surroundings disagree, or that has none, is
+    dropped. The variances add up.
+
+    Parameters
+    ----------
+    newer, older : Correspondences
+        Pairs k-1 to k and j to k-1.
+    settings : DecoderSettings
+    """
+    motion, variance, known = _sample(older, newer.x_prev, settings)
+    x_cur, x_prev = newer.x_cur[known], newer.x_prev[known] + motion[known]
+    sigma = np.sqrt(newer.sigma[known] ** 2 + variance[known])
+    return replace(newer, previous_stamp=older.previous_stamp, kind=SegmentKind.CHAINED,
+                   n_b=newer.n_b + older.n_b, x_cur=x_cur, x_prev=x_prev, sigma=sigma,
+                   probability=newer.probability[known] * older.probability.mean(
+                       dtype=np.float32) if len(older) else newer.probability[known],
+                   block=newer.block[known])
+
+
+def _sample(pair: Correspondences, x: np.ndarray, settings: DecoderSettings):
+    """Return motion, variance and presence of a pair's vectors at arbitrary pixels (N, 2)."""
+    table = _table(pair)
+    near = np.floor((x + np.float32(0.5)) / MACROBLOCK - np.float32(0.5)).astype(np.int32) + 1
+    near = np.clip(near, 0, (table.shape[1] - 2, table.shape[0] - 2))
+    rows = np.stack([table[near[:, 1] + i, near[:, 0] + j] for i in (0, 1) for j in (0, 1)], 1)
+    vector = np.r_[pair.x_prev - pair.x_cur, np.zeros((1, 2), np.float32)][rows]
+    away = np.abs(np.r_[pair.x_cur, np.full((1, 2), 1e6, np.float32)][rows] - x[:, None])
+    weight = np.maximum(1 - away / (1.25 * MACROBLOCK), 0).prod(axis=2)
+    lead = vector[np.arange(len(x)), weight.argmax(axis=1)]
+    gap = np.hypot(*np.moveaxis(vector - lead[:, None], 2, 0))
+    limit = settings.agreement_slack + settings.agreement_tolerance * np.hypot(*lead.T)
+    weight = weight * (gap < limit[:, None])
+    whole = weight.sum(axis=1)
+    known = whole > 0.25
+    weight /= np.maximum(whole, 1e-6)[:, None]
+    sigma = np.r_[pair.sigma, np.float32(0)][rows]
+    variance = (weight * sigma ** 2).sum(axis=1)
+    return (weight[:, None] @ vector)[:, 0], variance, known
+
+
+def _table(pair: Correspondences) -> np.ndarray:
+    """Return the row of the correspondence in each macroblock, with a border; len(pair): none."""
+    shape = -(-pair.height // MACROBLOCK) + 2, -(-pair.width // MACROBLOCK) + 2
+    table = np.full(shape, len(pair))
+    column, row = np.floor((pair.x_cur + np.float32(0.5)) / MACROBLOCK).astype(np.int32).T + 1
+    table[row, column] = np.arange(len(pair))
+    return table
+
+
+def parallax(pair: Correspondences, camera: Camera | None) -> float:
+    """Return the median length [px] of what a rotation of the camera leaves of the motion.
+
+    The rotation is fitted to the motion itself, robustly, so part of a translation may pass for
+    one: never too much parallax is told. Without a camera, shift and turn of the picture stand
+    for the rotation.
+    """
+    if len(pair) < 8:
+        return 0.0
+    some = slice(None, None, max(len(pair) // SAMPLE, 1))
+    design, motion, focal = _rotation_model(pair.x_cur[some], pair.x_prev[some], camera)
+    weight = np.ones(len(motion))
+    for _ in range(4):
+        root = np.sqrt(weight)
+        fit = np.linalg.lstsq((design * root[:, None, None]).reshape(-1, 3),
+                              (motion * root[:, None]).ravel(), rcond=None)[0]
+        left = np.hypot(*(motion - design @ fit).T) * focal
+        weight = 1 / (1 + left ** 2)
+    return float(np.median(left))
+
+
+def _rotation_model(x_cur: np.ndarray, x_prev: np.ndarray, camera: Camera | None):
+    """Return d motion / d rotation (N, 2, 3), the motion (N, 2) and pixels per unit of it."""
+    if camera is None:
+        x, y = (x_cur - x_cur.mean(axis=0)).T.astype(float) / MACROBLOCK
+        one, motion, focal = np.ones_like(x), (x_prev - x_cur).astype(float), 1.0
+        design = [[one, 0 * one, -y], [0 * one, one, x]]
+    else:
+        cur, prev = (to_rays(camera.K, undistort(camera, points)) for points in (x_cur, x_prev))
+        (x, y), motion, focal = cur[:, :2].T, (prev - cur)[:, :2], camera.K[0, 0]
+        design = [[x * y, -(1 + x * x), y], [1 + y * y, -x * y, -x]]
+    return np.moveaxis(np.array(design), 2, 0), motion, focal
