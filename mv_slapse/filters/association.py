@@ -1,6 +1,7 @@
 """Which detection continues which track: overlap of macroblocks and Mahalanobis distance."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from mv_slapse.filters import ekf
 from mv_slapse.filters import obstacle_motion as om
@@ -131,6 +132,5 @@ def _joined(group):
     first = group[0]
     if len(group) == 1:
         return first
-    return Detection(first.id, first.z, first.R, first.has_depth,
-                     np.concatenate([d.x for d in group]),
-                     np.concatenate([d.block for d in group]), first.scale_prior)
+    return replace(first, x=np.concatenate([d.x for d in group]),
+                   block=np.concatenate([d.block for d in group]))

@@ -1,6 +1,7 @@
 """Moving planes of one key frame pair as observations of the obstacle filters, (16) of [MVO]."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import obstacle_motion as om
@@ -13,7 +14,30 @@ from scipy.ndimage import label as components
 
 CELL = 16  # [px] of the lattice on which regions are compared
 OUTLINE_SHARE = 0.08  # of a region's size: how well its blocks show its middle
+CUT_SHARE = 0.3  # the same where the picture's edge cuts it off
 HIDDEN_CONTACT_SIGMA = 0.3  # of ln Z where the picture's edge cuts the region off below
+
+
+class Edge(NamedTuple):
+    """Lower edge of a region, known to a block, from which its depth comes.
+
+    Attributes
+    ----------
+    row : float
+        [px].
+    half : float
+        The true edge lies within this many rows of it [px].
+    drop : float
+        Rows below the horizon, f times the camera's height over the depth [px].
+    """
+
+    row: float
+    half: float
+    drop: float
+
+    def log_depth(self, value: float, rows: float) -> float:
+        """Return what ln Z is if the edge lies ``rows`` lower, ``value`` if it lies here."""
+        return value - float(np.log(max(1 + rows / self.drop, 0.1)))
 
 
 @dataclass(frozen=True)
@@ -31,6 +55,8 @@ class Detection:
     x, block : (N, 2) float64
         Centres and sizes of its blocks [px].
     scale_prior : ScalePrior
+    edge : Edge
+        Where it meets the ground; only read where the depth is evidence.
     """
 
     id: int
@@ -40,6 +66,7 @@ class Detection:
     x: np.ndarray
     block: np.ndarray
     scale_prior: ScalePrior
+    edge: Edge
 
     @property
     def box(self) -> np.ndarray:
@@ -123,10 +150,20 @@ def _detection(id_, state, covariance, x, block, prior, view, settings):
     R = np.zeros((om.SIZE, om.SIZE))
     R[2:, 2:] = covariance[np.ix_(order, order)] * np.outer(scale, scale)
     focal = np.diag(view.K)[:2]
+    cut = (box[:2] < CELL / 2) | (box[:2] + box[2:] > view.size - CELL / 2)
+    share = np.where(cut, CUT_SHARE, OUTLINE_SHARE)
     R[om.BEARING, om.BEARING] = np.diag(
-        (np.max(block, axis=0)**2 / 12 + (OUTLINE_SHARE * box[2:])**2) / focal**2)
+        (np.max(block, axis=0)**2 / 12 + (share * box[2:])**2) / focal**2)
+    contact = moving_plane.contact(x, block)
     return Detection(id_, np.r_[centre, theta[order] * scale], R,
-                     prior is ScalePrior.GROUND_CONTACT, x, block, prior)
+                     prior is ScalePrior.GROUND_CONTACT, x, block, prior,
+                     _edge(contact, R[2, 2]))
+
+
+def _edge(contact, variance):
+    """Return the Edge of a contact that gives ln Z with a variance."""
+    return Edge(float(contact.point[1]), np.sqrt(3) * contact.sigma,
+                contact.sigma / max(float(np.sqrt(variance)), 1e-6))
 
 
 def _shared_error(centre, box, view, settings):
@@ -159,4 +196,5 @@ def _on_ground(detection, view):
     R[2, 2] += depth.variance + (HIDDEN_CONTACT_SIGMA**2 if hidden else 0.0)
     z = detection.z.copy()
     z[2] = depth.value
-    return replace(detection, z=z, R=R, has_depth=True, scale_prior=ScalePrior.GROUND_CONTACT)
+    return replace(detection, z=z, R=R, has_depth=True, scale_prior=ScalePrior.GROUND_CONTACT,
+                   edge=_edge(contact, depth.variance))

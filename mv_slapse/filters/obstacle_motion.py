@@ -22,6 +22,7 @@ import numpy as np
 BEARING, LOG_DEPTH, RATE, SLOPE = slice(0, 2), slice(2, 3), slice(3, 6), slice(6, 8)
 SIZE = 8
 SLOPE_NOISE = 0.5  # [1/sqrt(s)] a surface may turn, and another face of it come into view
+MANOEUVRE_TIME = 0.5  # [s] for which an acceleration lasts
 SLOPE_LIMIT = 5.0  # steeper than this the surface is seen edge-on
 
 
@@ -90,7 +91,8 @@ def predict(mu: np.ndarray, step: CameraStep, after: np.ndarray, after_covarianc
 
 def _motion_noise(dt, acceleration, before, after):
     """Covariance (6, 6) of position and relative velocity: acceleration and the camera's speed."""
-    pushed = np.array([[dt**2 / 4, dt / 2], [dt / 2, 1.0]]) * dt**2 * acceleration**2
+    spectral_density = 2 * MANOEUVRE_TIME * acceleration**2
+    pushed = spectral_density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     known = np.array([[dt**2, dt], [dt, 1.0]])
     return (np.kron(pushed, np.eye(3)) + np.kron(known, before)
             + np.kron(np.diag([0.0, 1.0]), after))

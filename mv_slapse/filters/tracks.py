@@ -1,20 +1,24 @@
 """One moving obstacle over time: its filter, its outline and the evidence for it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import association, ekf
 from mv_slapse.filters import obstacle_motion as om
-from mv_slapse.filters.detections import box_of, Detection
+from mv_slapse.filters.detections import box_of, Detection, Edge
 from mv_slapse.filters.management import Evidence, within
 from mv_slapse.filters.view import View
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.records import Extraction, Label, Obstacle, ObstacleState, PlaneHandover
+from mv_slapse.records import Extraction, Label, Obstacle, ObstacleState, PlaneHandover, ScalePrior
 import numpy as np
 from scipy.stats import chi2
 
 UNSCALED_ACCELERATION = 0.1  # [1/s] of the speed, per unit of the setting
 KEPT_EVIDENCE = 2.0  # [s]
+DRIFT_GAIN = 0.3
+UNREST_RANGE = (0.3, 2.0)  # of the acceleration, calm and in a manoeuvre
+EDGE_SHARE = 0.3  # [1/sqrt(s)]
+BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
 
 
 @dataclass
@@ -31,8 +35,16 @@ class Track:
         Blocks 'bearing', 'log_depth', 'rate', 'slope' of obstacle_motion.
     x, block : (N, 2) float64
         Block centres, moved on by the prediction, and sizes [px].
+    edge : Edge
+        Lower edge of the last detection that showed one.
+    scale_prior : ScalePrior
     first_seen, last_seen : int, int
         Stamps [ns].
+    confirmed : bool
+    drift : (3,) float64
+        Running mean of the rate's innovation in standard deviations: near 0 unless it speeds up,
+        brakes or turns.
+    evidence : list of Evidence
     """
 
     id: int
@@ -40,10 +52,12 @@ class Track:
     state: ekf.State
     x: np.ndarray
     block: np.ndarray
-    scale_prior: int
+    edge: Edge
+    scale_prior: ScalePrior
     first_seen: int
     last_seen: int
     confirmed: bool = False
+    drift: np.ndarray = field(default_factory=lambda: np.zeros(3))
     evidence: list[Evidence] = field(default_factory=list)
 
     @property
@@ -62,7 +76,7 @@ class Track:
         speed = np.linalg.norm(still) + np.exp(self.mu[2]) * np.linalg.norm(self.mu[om.RATE])
         unit = 1.0 if view.is_metric else UNSCALED_ACCELERATION * speed
         moved = om.predict(self.mu, step, still, view.scene_covariance,
-                           settings.acceleration * unit)
+                           settings.acceleration * unit * self._unrest())
         if moved is None:
             return False
         mu, F, Q = moved
@@ -71,22 +85,56 @@ class Track:
         growth = np.exp(np.clip(self.mu[2] - mu[2], -1, 1))
         self.x = new + growth * (self.x - old)
         self.block = growth * self.block
+        # The block that hides the lower edge moves on with time, and its error with it: ln Z is
+        # never known better than a share of it.
+        Q[2, 2] += (EDGE_SHARE * self.edge.half / self.edge.drop)**2 * step.dt
         ekf.predict(self.state, mu, F, Q)
         return bool(np.all(self.box(view)[2:] > 0))
 
     def update(self, detection: Detection, extraction: Extraction, view: View,
                settings: ObstacleSettings):
         """Correct the state by a detection, (16), and keep what it says of the motion."""
-        rows = association.observed(detection)
         distance, dof = association.squared_distance(self.mu, self.P, detection)
         excess = max(1.0, distance / chi2.ppf(settings.gate, dof))
-        R = _correlated(detection.R, view.dt, settings)[np.ix_(rows, rows)] * excess
-        ekf.update(self.state, detection.z[rows] - self.mu[rows], np.eye(om.SIZE)[rows], R)
+        rate = (detection.z - self.mu)[om.RATE]
+        sigma = np.sqrt(np.diag(self.P + detection.R)[om.RATE])
+        self.drift = self.drift + DRIFT_GAIN * (rate / sigma - self.drift)
+        evidence = self._depth_evidence(
+            replace(detection, R=_correlated(detection.R, view.dt, settings)), view.dt)
+        rows = association.observed(evidence)
+        ekf.update(self.state, evidence.z[rows] - self.mu[rows], np.eye(om.SIZE)[rows],
+                   evidence.R[np.ix_(rows, rows)] * excess)
         self.state.mu[om.SLOPE] = np.clip(self.mu[om.SLOPE], -om.SLOPE_LIMIT, om.SLOPE_LIMIT)
         self.plane_id, self.x, self.block = detection.id, detection.x, detection.block
         if detection.has_depth:
-            self.scale_prior = detection.scale_prior
+            self.scale_prior, self.edge = detection.scale_prior, detection.edge
         self.witness(extraction, view, distance, dof)
+
+    def _unrest(self):
+        """Return the factor on the acceleration: a constant velocity needs little of it."""
+        expected = len(self.drift) * DRIFT_GAIN / (2 - DRIFT_GAIN)
+        return np.clip(np.sum(self.drift**2) / expected, *UNREST_RANGE)
+
+    def _depth_evidence(self, detection, dt):
+        """Return the detection with what its lower edge says of the depth beyond the last one.
+
+        The edge is known to a block only, and stays on it while the obstacle keeps its distance.
+        It speaks clearly where the prediction leaves the block, and where it jumps to the next
+        row: then the true edge lay between the two at some time of the pair.
+        """
+        edge, z, R = detection.edge, detection.z.copy(), detection.R.copy()
+        jump = self.edge.row - edge.row
+        moved = edge.drop * -self.mu[5] * dt
+        if 0 < abs(jump) <= 3 * edge.half:
+            z[2] = edge.log_depth(z[2], np.clip(0.5 * (jump + moved), -edge.half, edge.half))
+        else:
+            z[2] = np.clip(self.mu[2], edge.log_depth(z[2], edge.half),
+                           edge.log_depth(z[2], -edge.half))
+        if not detection.has_depth or z[2] == self.mu[2]:
+            return detection
+        R[2, :], R[:, 2] = 0.0, 0.0
+        R[2, 2] = (BOUNDARY_SIGMA**2 + moved**2 / 12) / edge.drop**2
+        return replace(detection, z=z, R=R)
 
     def witness(self, extraction: Extraction, view: View, nis: float, dof: int):
         """Keep what the newest detection says, for plane management."""
@@ -165,7 +213,7 @@ def start(detection: Detection, extraction: Extraction, view: View, track_id: in
         state.add(name, detection.z[at], detection.R[at, at])
     state.P[:] = detection.R
     track = Track(track_id, detection.id, state, detection.x, detection.block,
-                  detection.scale_prior, extraction.stamp, extraction.stamp)
+                  detection.edge, detection.scale_prior, extraction.stamp, extraction.stamp)
     track.witness(extraction, view, 0.0, 0)
     return track
 
