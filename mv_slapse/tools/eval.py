@@ -1,0 +1,149 @@
+"""``mv_slapse eval``: the folder of a run against whatever truth there is."""
+
+from dataclasses import dataclass
+import json
+from pathlib import Path
+from typing import Any
+
+from mv_slapse.errors import UnusableInput, UsageError
+from mv_slapse.evaluation import detection, planes, trajectory
+from mv_slapse.evaluation.truth import LabelTable, read_arrays, read_labels, read_truth, Truth
+from mv_slapse.storage.tables import OBSTACLES_HEADER, PLANES_HEADER, read_table
+from mv_slapse.storage.tum import read_trajectory, Trajectory
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Results:
+    """The files of a run that are evaluated; stamps as the truth counts them."""
+
+    trajectory: Trajectory
+    planes: dict[str, np.ndarray]
+    obstacles: dict[str, np.ndarray]
+    labels: LabelTable
+    summary: dict[str, Any]
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether lengths are in metres."""
+        return self.summary.get('scale_status') == 'metric'
+
+
+def evaluate(out: str | Path, ground_truth: str | Path | None = None,
+             labels: str | Path | None = None, boxes: str | Path | None = None,
+             stamp_offset: float = 0.0, fps: float | None = None) -> dict[str, Any]:
+    """Return all figures that the given truth allows, by the names that ``eval --json`` prints.
+
+    Parameters
+    ----------
+    out : folder of a run
+    ground_truth : trajectory file, or a folder as the simulator writes it
+    labels, boxes : motion_labels.npz, boxes.csv
+    stamp_offset : float
+        Taken off the run's stamps before they are compared [s].
+    fps : float or None
+        Rate of the frames that labels and boxes count [1/s]; as in the run's summary by default.
+
+    Raises
+    ------
+    UsageError, UnusableInput
+        Where there is no truth, or a file cannot be read.
+    """
+    if ground_truth is None and labels is None and boxes is None:
+        raise UsageError('there is nothing to compare with; give --ground-truth, --labels or '
+                         '--boxes')
+    results = read_results(out, stamp_offset)
+    truth = read_truth(ground_truth) if ground_truth is not None else Truth()
+    figures = _counts(results)
+    scale = 1.0
+    if truth.trajectory is not None:
+        score = trajectory.evaluate(results.trajectory, truth.trajectory)
+        figures |= trajectory.figures(score)
+        scale = 1.0 if results.is_metric else score.alignment.scale
+    figures |= _plane_figures(results, truth, scale)
+    if truth.movers is not None:
+        figures |= detection.truth_figures(results.obstacles, results.labels, truth.movers,
+                                           truth.labels, scale)
+    return figures | _label_figures(results, labels, boxes, fps)
+
+
+def read_results(out: str | Path, stamp_offset: float = 0.0) -> Results:
+    """Read the folder of a run.
+
+    Raises
+    ------
+    UnusableInput
+        Where it is not one.
+    """
+    out, shift = Path(out), round(stamp_offset * 1e9)
+    if not (out / 'trajectory.tum').exists():
+        raise UnusableInput(f'{out} is not a folder of results: it has no trajectory.tum; '
+                            'write one with: mv_slapse run INPUT --camera camera.yaml -o OUT')
+    path = read_trajectory(out / 'trajectory.tum')
+    labels = read_labels(out / 'labels.npz')
+    return Results(
+        Trajectory(path.stamps - shift, path.positions, path.quaternions),
+        _shifted(read_table(out / 'planes.csv', PLANES_HEADER), shift),
+        _shifted(read_table(out / 'obstacles.csv', OBSTACLES_HEADER), shift),
+        LabelTable(labels.stamps - shift, labels.x, labels.y, labels.label, labels.plane),
+        _read_summary(out / 'summary.json'))
+
+
+def text(figures: dict[str, Any]) -> str:
+    """Return figures as lines of a table."""
+    width = max(map(len, figures))
+    return '\n'.join(f'{name:{width}}  {_shown(value)}' for name, value in figures.items())
+
+
+def _counts(results: Results) -> dict[str, Any]:
+    n_key_frames = len(results.labels.stamps)
+    return {'n_poses': len(results.trajectory),
+            'n_key_frames': results.summary.get('key_frames', n_key_frames + 1),
+            'scale_status': results.summary.get('scale_status', 'unknown'),
+            **detection.obstacle_figures(results.obstacles, n_key_frames)}
+
+
+def _plane_figures(results: Results, truth: Truth, scale: float) -> dict[str, Any]:
+    if truth.planes is None or truth.trajectory is None:
+        return {}
+    labels = None if truth.labels is None else (results.labels, truth.labels)
+    return planes.figures(planes.evaluate(results.planes, truth.planes, truth.trajectory, scale,
+                                          labels))
+
+
+def _label_figures(results: Results, labels: str | Path | None, boxes: str | Path | None,
+                   fps: float | None) -> dict[str, Any]:
+    if labels is None and boxes is None:
+        return {}
+    fps = fps or results.summary.get('fps')
+    if not fps:
+        raise UsageError('the run does not say how many frames a second has; give --fps')
+    figures = {}
+    if labels is not None:
+        content = read_arrays(labels, ('tracks', 'visible', 'label'))
+        points = detection.PointLabels(content['tracks'], content['visible'].astype(bool),
+                                       content['label'], fps)
+        figures |= detection.point_figures(results.labels, points)
+    if boxes is not None:
+        table = read_table(boxes, 'frame,x,y,width,height')
+        figures |= detection.box_figures(results.obstacles, results.labels.stamps, table, fps)
+    return figures
+
+
+def _shifted(table: dict[str, np.ndarray], shift: int) -> dict[str, np.ndarray]:
+    return {**table, 'stamp': table['stamp'].astype(np.int64) - shift}
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text())
+    except FileNotFoundError:
+        return {}  # the run was killed before its end; its other files are whole
+    except (OSError, ValueError) as error:
+        raise UnusableInput(f'{path} cannot be read: {error}') from None
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return '-'
+    return f'{value:.4f}' if isinstance(value, float) else str(value)

@@ -1,0 +1,250 @@
+"""The command line: ``mv_slapse run``, ``eval``, ``inspect``, ``bag``, ``demo``, ``doctor``.
+
+What a command needs is imported when it runs, so that ``doctor`` works where a library is
+missing. Exit codes: 0 done, 1 a fault of this program, 2 usage, 3 unusable input, 4 tracking lost
+for most of the input, 130 interrupted.
+"""
+
+import argparse
+from collections.abc import Sequence
+import json
+import shlex
+import signal
+import sys
+from typing import Any
+
+from mv_slapse.errors import MvSlapseError
+
+FAULT, LOST, INTERRUPTED = 1, 4, 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    args = parser().parse_args(arguments)
+    args.command_line = shlex.join(['mv_slapse', *arguments])
+    try:
+        return args.function(args)
+    except MvSlapseError as error:
+        return _fail(args, str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return _fail(args, 'interrupted', INTERRUPTED)
+    except BrokenPipeError:
+        sys.stderr.close()  # whoever read our output has gone; there is nobody to tell
+        return 0
+    except Exception as error:
+        if args.debug:
+            raise
+        return _fail(args, f'this is a fault of mv_slapse: {type(error).__name__}: {error}; run '
+                     'again with --debug and report what it prints', FAULT)
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
+    top = argparse.ArgumentParser(
+        prog='mv_slapse', description='Pose, planes and moving obstacles from the motion vectors '
+        'of encoded video.')
+    commands = top.add_subparsers(dest='command', required=True, metavar='COMMAND')
+    for add in (_add_run, _add_eval, _add_inspect, _add_bag, _add_demo, _add_doctor):
+        command = add(commands)
+        command.add_argument('--debug', action='store_true', help='show where an error arose')
+    return top
+
+
+def _add_run(commands: Any) -> argparse.ArgumentParser:
+    command = commands.add_parser('run', help='process a video and write the folder of results')
+    command.set_defaults(function=_run)
+    command.add_argument('input', metavar='INPUT',
+                         help='video file, URL (rtsp, udp, http ...), or bag with a video topic')
+    command.add_argument('--camera', metavar='YAML',
+                         help='camera_info file; a bag may bring its own calibration')
+    command.add_argument('--camera-height', type=_height, metavar='M',
+                         help='height of the camera above the ground; makes the scale metric')
+    command.add_argument('-o', '--output', default='out', metavar='OUT',
+                         help='folder of the results (default: %(default)s)')
+    command.add_argument('--topic', help='video topic of a bag that has several')
+    command.add_argument('--max-frames', type=_count, metavar='N', help='stop after N pictures')
+    command.add_argument('--settings', metavar='YAML', help='file of settings')
+    command.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE',
+                         help='change a setting; may be repeated')
+    _add_output_style(command)
+    return command
+
+
+def _add_eval(commands: Any) -> argparse.ArgumentParser:
+    command = commands.add_parser('eval', help='compare results with the truth')
+    command.set_defaults(function=_eval)
+    command.add_argument('results', metavar='OUT', help='folder of results')
+    command.add_argument('--ground-truth', metavar='TRUTH',
+                         help='trajectory (TUM), or folder as the simulator writes it')
+    command.add_argument('--labels', metavar='NPZ', help='labelled points (motion_labels.npz)')
+    command.add_argument('--boxes', metavar='CSV', help='boxes of one obstacle (boxes.csv)')
+    command.add_argument('--fps', type=float, metavar='HZ',
+                         help='rate of the frames in --labels and --boxes')
+    command.add_argument('--stamp-offset', type=float, default=0.0, metavar='S',
+                         help="taken off the results' stamps first (default: 0)")
+    command.add_argument('--json', action='store_true', help='print one JSON object')
+    return command
+
+
+def _add_inspect(commands: Any) -> argparse.ArgumentParser:
+    command = commands.add_parser('inspect', help='tell whether a video can be used')
+    command.set_defaults(function=_inspect)
+    command.add_argument('input', metavar='INPUT', help='video file, URL or bag')
+    command.add_argument('--topic', help='video topic of a bag that has several')
+    command.add_argument('--max-frames', type=_count, default=300, metavar='N',
+                         help='look at N pictures (default: %(default)s)')
+    command.add_argument('--json', action='store_true', help='print one JSON object')
+    return command
+
+
+def _add_bag(commands: Any) -> argparse.ArgumentParser:
+    command = commands.add_parser('bag', help='make a rosbag2 MCAP of a video')
+    command.set_defaults(function=_bag)
+    command.add_argument('input', metavar='VIDEO', help='video file')
+    command.add_argument('--camera', required=True, metavar='YAML', help='camera_info file')
+    command.add_argument('--ground-truth', metavar='TUM', help='true trajectory')
+    command.add_argument('-o', '--output', required=True, metavar='BAG', help='folder to make')
+    command.add_argument('--start', type=float, default=0.0, metavar='S',
+                         help='stamp of the first picture (default: 0)')
+    command.add_argument('--max-frames', type=_count, metavar='N', help='stop after N pictures')
+    command.add_argument('--json', action='store_true', help='print one JSON object')
+    return command
+
+
+def _add_demo(commands: Any) -> argparse.ArgumentParser:
+    command = commands.add_parser('demo', help='render a street, run everything, write a report')
+    command.set_defaults(function=_demo)
+    command.add_argument('-o', '--output', default='out/demo', metavar='OUT',
+                         help='folder of the results (default: %(default)s)')
+    command.add_argument('--seed', type=int, default=0, help='of the street (default: 0)')
+    command.add_argument('--quick', action='store_true', help='a shorter street')
+    _add_output_style(command)
+    return command
+
+
+def _add_doctor(commands: Any) -> argparse.ArgumentParser:
+    command = commands.add_parser('doctor', help='tell whether this installation can run')
+    command.set_defaults(function=_doctor)
+    return command
+
+
+def _add_output_style(command: argparse.ArgumentParser):
+    command.add_argument('--quiet', action='store_true', help='print nothing but errors')
+    command.add_argument('--json', action='store_true', help='print one JSON object')
+
+
+def _run(args: argparse.Namespace) -> int:
+    from mv_slapse.storage.camera_info import read_camera
+    from mv_slapse.tools import run
+    from mv_slapse.tools.progress import progress_bar
+    settings = _settings(args)
+    camera = read_camera(args.camera) if args.camera else None
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C: files closed
+    with progress_bar(args.quiet or args.json) as progress:
+        summary = run.run(args.input, camera, settings, args.output, args.max_frames, progress,
+                          args.topic, args.command_line)
+    _print(args, summary.to_dict(), run.text(summary, args.output))
+    if summary.interrupted:
+        return INTERRUPTED
+    if summary.is_lost:
+        sys.stderr.write(f'mv_slapse: {run.lost_message(summary)}\n')
+        return LOST
+    return 0
+
+
+def _eval(args: argparse.Namespace) -> int:
+    from mv_slapse.tools import eval as evaluation
+    figures = evaluation.evaluate(args.results, args.ground_truth, args.labels, args.boxes,
+                                  args.stamp_offset, args.fps)
+    _print(args, figures, evaluation.text(figures))
+    return 0
+
+
+def _inspect(args: argparse.Namespace) -> int:
+    from mv_slapse.tools import inspect
+    report = inspect.inspect(args.input, args.topic, args.max_frames)
+    _print(args, report, inspect.text(report))
+    return 0 if inspect.is_usable(report) else 3
+
+
+def _bag(args: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from mv_slapse.storage.camera_info import read_camera
+    from mv_slapse.storage.tum import read_trajectory
+    from mv_slapse.tools.bag import make_bag
+    truth = read_trajectory(args.ground_truth) if args.ground_truth else None
+    content = make_bag(args.input, read_camera(args.camera), truth, args.output,
+                       round(args.start * 1e9), args.max_frames)
+    _print(args, asdict(content),
+           f'{content.path}: {content.packets} packets, {content.camera_infos} camera_info, '
+           f'{content.true_poses} true poses\nplay it with: ros2 bag play {content.path} --clock')
+    return 0
+
+
+def _demo(args: argparse.Namespace) -> int:
+    from mv_slapse.tools import demo
+    return demo.main(args)
+
+
+def _doctor(args: argparse.Namespace) -> int:
+    from mv_slapse.tools import doctor
+    return doctor.main([])
+
+
+def _settings(args: argparse.Namespace) -> Any:
+    from mv_slapse.config import Settings
+    from mv_slapse.tools import settings_arguments
+    settings = Settings()
+    if args.settings:
+        settings = settings_arguments.read_settings(args.settings, settings)
+    if args.camera_height is not None:
+        settings = settings_arguments.change(settings, 'scene.camera_height', args.camera_height)
+    return settings_arguments.override(settings, args.set)
+
+
+def _print(args: argparse.Namespace, content: dict[str, Any], text: str):
+    if args.json:
+        print(json.dumps(_plain(content)))
+    elif not getattr(args, 'quiet', False):
+        print(text)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value without what JSON has no word for: infinite and undefined numbers."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not abs(value) < float('inf'):
+        return None
+    return value.item() if hasattr(value, 'item') else value
+
+
+def _fail(args: argparse.Namespace, message: str, code: int) -> int:
+    sys.stderr.write(f'mv_slapse {args.command}: {message}\n')
+    if getattr(args, 'json', False):
+        print(json.dumps({'error': message, 'exit_code': code}))
+    return code
+
+
+def _count(text: str) -> int:
+    value = int(text) if text.isdigit() else 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number above 0')
+    return value
+
+
+def _height(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value < 1000:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a height in metres above 0')
+    return value
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,287 @@
+"""``mv_slapse run``: a video in, the folder of results out."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from importlib import metadata
+from itertools import islice
+from pathlib import Path
+import platform
+import time
+from typing import Any
+
+from mv_slapse.codec.decoder import CorrespondenceDecoder
+from mv_slapse.config import Settings
+from mv_slapse.errors import UnusableInput, UsageError
+from mv_slapse.geometry.calibration import check_size
+from mv_slapse.geometry.camera import Camera
+from mv_slapse.pipeline import Slapse, Step
+from mv_slapse.records import Correspondences, ObstacleState, ScaleStatus, SegmentKind
+from mv_slapse.storage.results import ResultsWriter, SCHEMA_VERSION, WITH_POSE
+from mv_slapse.tools.inputs import open_input, VideoInput
+
+STAGES = ('decode', 'extract', 'filter', 'obstacles', 'write')
+LIBRARIES = ('mv_slapse', 'av', 'numpy', 'scipy', 'opencv-python-headless', 'rosbags')
+SHARE_OF_POSES = 0.5  # with fewer key frames tracked, the run counts as lost
+
+Progress = Callable[[int, int], None]
+
+
+class CpuClock:
+    """Adds up the CPU seconds of each stage."""
+
+    def __init__(self):
+        """Start at zero."""
+        self.seconds = dict.fromkeys(STAGES, 0.0)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Charge what runs within to a stage."""
+        start = time.process_time()
+        try:
+            yield
+        finally:
+            self.seconds[name] += time.process_time() - start
+
+    def charge(self, function: Callable, name: str) -> Callable:
+        """Return a function that runs another and charges it to a stage."""
+        def charged(*args: Any, **kwargs: Any) -> Any:
+            with self.stage(name):
+                return function(*args, **kwargs)
+
+        return charged
+
+
+@dataclass
+class Summary:
+    """What a run did; the content of ``summary.json``.
+
+    Attributes
+    ----------
+    input, command : str
+    frames, key_frames, poses, broken_segments : int
+        Pictures decoded, pictures that may have a pose, those that have one, pairs without
+        vectors.
+    broken_reasons, statuses : dict
+        How often each reason, and each tracking status, occurred.
+    scale_status, scale_source : str
+    planes, obstacles_confirmed : int
+        Planes ever in the map, obstacles ever confirmed.
+    fps, first_stamp, last_stamp : float
+        Mean rate of the pictures [1/s], stamps of the first and the last key frame [s].
+    cpu_seconds : dict
+        By stage, and the sum.
+    camera, settings, versions : dict
+    warnings : list of str
+    """
+
+    input: str
+    command: str = ''
+    schema_version: int = SCHEMA_VERSION
+    frames: int = 0
+    key_frames: int = 0
+    poses: int = 0
+    broken_segments: int = 0
+    broken_reasons: dict[str, int] = field(default_factory=dict)
+    statuses: dict[str, int] = field(default_factory=dict)
+    reasons: dict[str, int] = field(default_factory=dict)
+    scale_status: str = 'unknown'
+    scale_source: str = ''
+    planes: int = 0
+    obstacles_confirmed: int = 0
+    fps: float = 0.0
+    first_stamp: float = 0.0
+    last_stamp: float = 0.0
+    interrupted: bool = False
+    cpu_seconds: dict[str, float] = field(default_factory=dict)
+    camera: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether most key frames have no pose."""
+        return self.poses < SHARE_OF_POSES * self.key_frames
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of ``summary.json``."""
+        return asdict(self)
+
+
+def run(input: str | Path, camera: Camera | None, settings: Settings, output: str | Path,
+        max_frames: int | None = None, progress: Progress | None = None,
+        topic: str | None = None, command: str = '') -> Summary:
+    """Run everything on a video file, a URL or a bag and write the folder of results.
+
+    Parameters
+    ----------
+    camera : Camera or None
+        None takes the calibration that comes with a bag.
+    max_frames : int or None
+        Stop after so many pictures.
+    progress : function of (pictures done, pictures in all or 0), or None
+    topic : str or None
+        Video topic of a bag that has several.
+    command : str
+        For the record.
+
+    Raises
+    ------
+    UnusableInput
+        Where the input has no motion vectors to work with.
+    UsageError
+        Where arguments contradict one another, or the output cannot be written.
+    """
+    with open_input(str(input), topic) as source:
+        session = _Session(source, str(input), _camera(camera, source, str(input)), settings)
+        session.summary.command = command
+        with ResultsWriter(output) as writer:
+            try:
+                session.play(writer, max_frames, progress)
+            except KeyboardInterrupt:
+                session.summary.interrupted = True
+                session.summary.warnings.append('interrupted; the results end there')
+            writer.close(session.finish())
+    return _checked(session.summary)
+
+
+def text(summary: Summary, output: str | Path) -> str:
+    """Return what a run reports on the terminal."""
+    s, total = summary, summary.cpu_seconds['total']
+    stages = ', '.join(f'{name} {seconds:.2f}' for name, seconds in s.cpu_seconds.items()
+                       if name != 'total')
+    scale = f'{s.scale_status} ({s.scale_source})' if s.scale_source else s.scale_status
+    lines = [f'{s.input}: {s.frames} frames, {s.key_frames} key frames, {s.poses} with a pose, '
+             f'{s.broken_segments} broken segments',
+             f'scale {scale}; {s.planes} planes, {s.obstacles_confirmed} obstacles confirmed',
+             f'CPU {total:.2f} s, {1000 * total / max(s.frames, 1):.1f} ms a frame ({stages})',
+             *(f'warning: {warning}' for warning in s.warnings), f'results in {output}']
+    return '\n'.join(lines)
+
+
+def lost_message(summary: Summary) -> str:
+    """Return why a run counts as lost, and what to do."""
+    causes = [*summary.reasons] or [*summary.broken_reasons] or ['unknown']
+    return (f'{summary.input}: tracking was lost for most of the input, {summary.poses} of '
+            f'{summary.key_frames} key frames have a pose (most often: {causes[0]}); see '
+            'mv_slapse inspect, and check the camera file')
+
+
+class _Session:
+    """A run in progress."""
+
+    def __init__(self, source: VideoInput, name: str, camera: Camera, settings: Settings):
+        self._source, self._camera, self._settings = source, camera, settings
+        self._clock = CpuClock()
+        self._decoder = CorrespondenceDecoder(settings.decoder, camera)
+        self._slapse = Slapse(camera, settings)
+        self._charge_stages()
+        self._counts = {name: Counter() for name in ('statuses', 'reasons', 'broken_reasons')}
+        self._planes: set[int] = set()
+        self._obstacles: set[int] = set()
+        self._stamps: list[int] = []
+        self.summary = Summary(name, warnings=[source.warning] if source.warning else [])
+
+    def play(self, writer: ResultsWriter, max_frames: int | None, progress: Progress | None):
+        """Take the packets one after another, as a robot would."""
+        total = min(filter(None, (self._source.n_frames, max_frames)), default=0)
+        for packet in islice(self._source.packets, max_frames):
+            self._take(self._decode(self._decoder.feed, packet), writer)
+            self._stamps.append(packet.stamp)
+            self.summary.frames = len(self._stamps)
+            if progress:
+                progress(self.summary.frames, total)
+        self._take(self._decode(self._decoder.flush), writer)
+
+    def finish(self) -> dict[str, Any]:
+        """Complete the summary and return its content."""
+        summary, camera = self.summary, self._camera
+        span = (max(self._stamps) - min(self._stamps)) / 1e9 if self._stamps else 0.0
+        summary.fps = (summary.frames - 1) / span if span > 0 else 0.0
+        summary.planes, summary.obstacles_confirmed = len(self._planes), len(self._obstacles)
+        for name, counter in self._counts.items():
+            setattr(summary, name, dict(counter.most_common()))
+        seconds = self._clock.seconds
+        summary.cpu_seconds = {**seconds, 'total': sum(seconds.values())}
+        summary.camera = {'width': camera.width, 'height': camera.height, 'lens': camera.lens,
+                          'K': camera.K.tolist(), 'distortion': camera.distortion.tolist()}
+        summary.settings, summary.versions = asdict(self._settings), _versions()
+        return summary.to_dict()
+
+    def _charge_stages(self):
+        for part, verb, stage in (('extractor', 'extract', 'extract'), ('scene', 'step', 'filter'),
+                                  ('tracker', 'step', 'obstacles')):
+            part = getattr(self._slapse, f'_{part}')
+            setattr(part, verb, self._clock.charge(getattr(part, verb), stage))
+
+    def _decode(self, function: Callable, *args: Any) -> list[Correspondences]:
+        with self._clock.stage('decode'):
+            return function(*args)
+
+    def _take(self, pairs: list[Correspondences], writer: ResultsWriter):
+        for pair in pairs:
+            if not self.summary.key_frames:
+                check_size(self._camera, pair.width, pair.height, self.summary.input)
+            step = self._slapse.step(pair)
+            with self._clock.stage('write'):
+                writer.write(step)
+            self._count(step)
+
+    def _count(self, step: Step):
+        summary, scene, pair = self.summary, step.scene, step.correspondences
+        if not summary.key_frames:
+            summary.key_frames, summary.first_stamp = 1, pair.previous_stamp / 1e9
+        summary.key_frames += 1
+        summary.last_stamp = pair.stamp / 1e9
+        if scene.status in WITH_POSE:
+            summary.poses += 1 if summary.poses else 2  # the first key frame is the origin
+        self._counts['statuses'][scene.status.name.lower()] += 1
+        if scene.reason:
+            self._counts['reasons'][scene.reason] += 1
+        if pair.kind is SegmentKind.BROKEN:
+            summary.broken_segments += 1
+            self._counts['broken_reasons'][pair.reason] += 1
+        is_metric = scene.scale_status is ScaleStatus.METRIC
+        summary.scale_status = 'metric' if is_metric else 'unknown'
+        summary.scale_source = scene.scale_source
+        self._planes.update(plane.id for plane in scene.planes)
+        self._obstacles.update(obstacle.id for obstacle in step.obstacles
+                               if obstacle.state is ObstacleState.CONFIRMED)
+
+
+def _camera(camera: Camera | None, source: VideoInput, name: str) -> Camera:
+    camera = camera or source.camera
+    if camera is None:
+        raise UsageError(f'{name} brings no calibration along; give one with --camera '
+                         'camera.yaml (a camera_info file)')
+    if source.size:
+        check_size(camera, *source.size, name)
+    return camera
+
+
+def _checked(summary: Summary) -> Summary:
+    """Return the summary of a run that had something to work with."""
+    if summary.interrupted:
+        return summary
+    n_pairs = max(summary.key_frames - 1, 0)
+    if not n_pairs:
+        raise UnusableInput(f'{summary.input} has {summary.frames} pictures that can be decoded, '
+                            'and no two key frames (I or P) among them; give a longer video')
+    if summary.broken_segments == n_pairs:
+        reason = next(iter(summary.broken_reasons), 'unknown')
+        raise UnusableInput(f'{summary.input}: none of {n_pairs} key frame pairs has motion '
+                            f'vectors ({reason}); re-encode the video with P frames, for instance '
+                            'ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 OUTPUT.mp4')
+    return summary
+
+
+def _versions() -> dict[str, str]:
+    versions = {'python': platform.python_version()}
+    for name in LIBRARIES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = 'unknown'
+    return versions
