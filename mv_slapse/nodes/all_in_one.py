@@ -34,6 +34,7 @@ class AllInOneNode(Shell):
     def __init__(self, **kwargs):
         """Join the topics."""
         super().__init__('all_in_one', **kwargs)
+        self._camera: Camera | None = None
         self._slapse: Slapse | None = None
         self._extrinsics, self._archive = Extrinsics(self), Archive(self)
         self._correspondences = self.create_publisher(CorrespondencesMsg, 'correspondences',
@@ -52,8 +53,8 @@ class AllInOneNode(Shell):
         self._gate.clear()
         for part in (self._scene, self._archive):
             part.restart()
-        if self._slapse is not None:
-            self._slapse = Slapse(self._slapse.camera, self._core_settings())
+        if self._camera is not None:
+            self._on_camera(self._camera)
 
     def destroy_node(self):
         """Stop the reader of a source first."""
@@ -65,6 +66,7 @@ class AllInOneNode(Shell):
         return Settings(*(self.settings[kind] for kind in kinds))
 
     def _on_camera(self, camera: Camera):
+        self._camera = camera
         self._slapse = Slapse(camera, self._core_settings())
 
     def _is_ready(self, _record: Correspondences, frame: str) -> bool:

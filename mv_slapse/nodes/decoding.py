@@ -5,6 +5,7 @@ from collections.abc import Callable
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.codec.packet import Packet
 from mv_slapse.config import DecoderSettings
+from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.nodes.camera_input import CameraInput
 from mv_slapse.nodes.gate import Gate
@@ -67,6 +68,7 @@ class Decoding:
                 self._hand_over(record)
 
     def _hand_over(self, record: Correspondences):
+        check_size(self._camera.camera, record.width, record.height, 'video')
         health = self._node.health
         health.count('key frame pairs')
         if record.kind == SegmentKind.BROKEN:

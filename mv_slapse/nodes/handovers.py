@@ -14,7 +14,7 @@ TOPIC = 'planes/handover'
 
 
 class Handovers:
-    """Sends hand-overs and keeps those that come until the key frame after their decision."""
+    """Sends hand-overs, and keeps those that come until their key frame."""
 
     def __init__(self, node: Shell, to_label: Label | None):
         """Take hand-overs to ``to_label``; None: send only."""
@@ -35,13 +35,13 @@ class Handovers:
                 PlaneHandoverMsg, fields.handover_to_fields(handover, frames)))
 
     def due(self, stamp: int, frames: RosFrames) -> list[PlaneHandover]:
-        """Return the hand-overs decided before ``stamp`` [ns], sorted; they are kept no longer.
+        """Return the hand-overs decided at ``stamp`` [ns] or before, sorted, and drop them.
 
-        One decided at key frame k takes effect at k + 1, as in the pipeline, however fast the
-        message was.
+        However fast a message was, it takes effect at the key frame at which it does in the
+        pipeline: the scene's at once, the tracker's at the next.
         """
         records = [fields.handover_from_message(msg, frames) for msg in self._pending]
-        pending = [r.stamp >= stamp for r in records]
+        pending = [r.stamp > stamp for r in records]
         self._pending = [m for m, wait in zip(self._pending, pending, strict=True) if wait]
         due = [r for r, wait in zip(records, pending, strict=True) if not wait]
         return sorted(due, key=lambda record: (record.stamp, record.id))

@@ -2,6 +2,7 @@
 
 from mv_slapse import fields
 from mv_slapse.config import ExtractionSettings
+from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.camera_input import CameraInput
@@ -41,6 +42,7 @@ class PlaneExtractionNode(Shell):
         self._gate.drain()
 
     def _extract(self, msg: Correspondences):
+        check_size(self._camera.camera, msg.width, msg.height, TOPIC)
         extraction = self._extractor.extract(fields.correspondences_from_message(msg))
         self.health.count('key frame pairs')
         self.health.value('planes', len(extraction.planes))

@@ -67,7 +67,7 @@ class SceneJoin:
             self._dropped()
         else:
             return False
-        self._forget_before(stamp)
+        self._forget(stamp)
         return True
 
     def _is_overdue(self, stamp: int) -> bool:
@@ -75,18 +75,19 @@ class SceneJoin:
         later = [sum(at > stamp for at in messages) for messages in (self._odometry, self._maps)]
         return min(later) > 0 or max(later) > 5
 
-    def _forget_before(self, stamp: int):
-        for messages in (self._odometry, self._maps):
-            for at in [at for at in messages if at < stamp]:
-                if messages is self._odometry or len(messages) > 1:
-                    del messages[at]
+    def _forget(self, stamp: int):
+        """Drop what is done with; the newest map stays, to stand in for a lost one."""
+        for at in [at for at in self._odometry if at <= stamp]:
+            del self._odometry[at]
+        for at in sorted(at for at in self._maps if at <= stamp)[:-1]:
+            del self._maps[at]
 
 
 class SceneMemory:
     """Scenes from messages, with what the messages do not say taken from the scene before."""
 
     def __init__(self):
-        """Begin at the first key frame, whose pose is the identity."""
+        """Know no scene yet."""
         self._last: SceneEstimate | None = None
 
     def scene(self, extraction: Extraction, odometry: Any, plane_map: Any,
@@ -102,8 +103,7 @@ class SceneMemory:
 
     def _baseline(self, scene: SceneEstimate, previous_stamp: int) -> float:
         """Return the distance to the pose before, by the velocity where that is not known."""
-        if self._last is not None and self._last.stamp != previous_stamp:
-            dt = (scene.stamp - previous_stamp) / 1e9
-            return float(np.linalg.norm(scene.velocity_world) * dt)
-        before = self._last.t_world_from_cam if self._last is not None else np.zeros(3)
-        return float(np.linalg.norm(scene.t_world_from_cam - before))
+        if self._last is not None and self._last.stamp == previous_stamp:
+            return float(np.linalg.norm(scene.t_world_from_cam - self._last.t_world_from_cam))
+        dt = (scene.stamp - previous_stamp) / 1e9
+        return float(np.linalg.norm(scene.velocity_world) * dt)

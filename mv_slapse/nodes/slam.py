@@ -49,7 +49,8 @@ class SlamNode(Shell):
             self.restart()
         self._newest = extraction.stamp
         frames = self._extrinsics.frames(msg.header.frame_id)
-        scene, given = self._filter.step(extraction, self._handovers.due(self._newest, frames))
+        due = self._handovers.due(extraction.stamp - 1, frames)
+        scene, given = self._filter.step(extraction, due)
         self._archive.add(scene, extraction.previous_stamp)
         self._handovers.publish(given, frames)
         self._output.publish(scene, frames)

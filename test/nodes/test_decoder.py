@@ -1,0 +1,242 @@
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mv_slapse_msgs')
+
+import cv2  # noqa: E402
+from mv_slapse import fields  # noqa: E402
+from mv_slapse.codec.decoder import CorrespondenceDecoder  # noqa: E402
+from mv_slapse.codec.encoder import ImageEncoder, write_video  # noqa: E402
+from mv_slapse.config import DecoderSettings  # noqa: E402
+from mv_slapse.nodes.conversions import camera_from_msg, stamp_to_msg, to_message  # noqa: E402
+from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
+from mv_slapse.storage.camera_info import write_camera  # noqa: E402
+from mv_slapse.video_messages import packet_to_fields  # noqa: E402
+from mv_slapse_msgs.msg import Correspondences  # noqa: E402
+from nodes import clips  # noqa: E402
+from nodes.bench import BEST_EFFORT, LATCHED, messages_of  # noqa: E402
+import numpy as np  # noqa: E402
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
+
+START = 5_000_000_000
+
+
+def expected_records(packets):
+    decoder = CorrespondenceDecoder(DecoderSettings(), camera_from_msg(clips.camera_info()))
+    return [record for packet in packets for record in decoder.feed(packet)]
+
+
+def assert_arrived(received, expected):
+    assert [fields.stamp_from_message(m.header.stamp) for m in received] == [
+        r.stamp for r in expected]
+    for msg, record in zip(received, expected, strict=True):
+        back = fields.correspondences_from_message(msg)
+        assert back.kind == record.kind
+        np.testing.assert_array_equal(back.x_cur, record.x_cur)
+        np.testing.assert_array_equal(back.x_prev, record.x_prev)
+
+
+def publish_camera(bench, info=None):
+    publisher = bench.peer.create_publisher(CameraInfo, 'camera_info', LATCHED)
+    publisher.publish(info or clips.camera_info())
+    return publisher
+
+
+def ffmpeg_messages(packets):
+    module = pytest.importorskip('ffmpeg_image_transport_msgs.msg')
+    return module.FFMPEGPacket, [to_message(module.FFMPEGPacket, packet_to_fields(
+        packet, clips.SIZE, i, 'cam_optical')) for i, packet in enumerate(packets)]
+
+
+def compressed_video(packets):
+    module = pytest.importorskip('foxglove_msgs.msg')
+    # the format is wrong on purpose, as it sometimes is: the bitstream tells
+    return module.CompressedVideo, [module.CompressedVideo(
+        timestamp=stamp_to_msg(p.stamp), frame_id='cam_optical', data=p.data, format='h265')
+        for p in packets]
+
+
+def compressed_image(packets):
+    messages = [CompressedImage(data=p.data, format='h264') for p in packets]
+    for msg, packet in zip(messages, packets, strict=True):
+        msg.header.stamp, msg.header.frame_id = stamp_to_msg(packet.stamp), 'cam_optical'
+    return CompressedImage, messages
+
+
+@pytest.mark.parametrize(('codec', 'kind'), [
+    ('mpeg2video', ffmpeg_messages), ('h264', ffmpeg_messages), ('h264', compressed_video),
+    ('h264', compressed_image)])
+def test_encoded_video_gives_the_records_of_the_decoder(bench, codec, kind):
+    packets = clips.packets(codec, START)
+    message_type, messages = kind(packets)
+    received = bench.listen(Correspondences, 'correspondences')
+    bench.start(DecoderNode)
+    publish_camera(bench)
+    publisher = bench.advertise(message_type, 'video')
+    for msg in messages:
+        publisher.publish(msg)
+    expected = expected_records(packets)
+    assert len(expected) >= 2
+    assert bench.spin(lambda: len(received) >= len(expected))
+    assert_arrived(received, expected)
+    assert received[0].header.frame_id == 'cam_optical'
+
+
+def raw(picture):
+    return Image(height=picture.shape[0], width=picture.shape[1], encoding='mono8',
+                 step=picture.shape[1], data=picture.tobytes())
+
+
+def png(picture):
+    return CompressedImage(format='png', data=cv2.imencode('.png', picture)[1].tobytes())
+
+
+@pytest.mark.parametrize(('message_type', 'make'), [(Image, raw), (CompressedImage, png)])
+def test_pictures_are_coded_here_and_their_vectors_read(bench, message_type, make):
+    received = bench.listen(Correspondences, 'correspondences')
+    bench.start(DecoderNode)
+    publish_camera(bench)
+    publisher = bench.advertise(message_type, 'video', BEST_EFFORT)
+    encoder, packets = ImageEncoder(), []
+    for i, picture in enumerate(clips.pictures()):
+        msg = make(picture)
+        msg.header.stamp = stamp_to_msg(START + i * 100_000_000)
+        publisher.publish(msg)
+        bench.spin(lambda: False, 0.02)
+        shown = picture if make is raw else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
+        packets += encoder.feed(shown, START + i * 100_000_000)
+    expected = expected_records(packets)
+    assert len(expected) >= 2
+    assert bench.spin(lambda: len(received) >= len(expected))
+    assert_arrived(received, expected)
+    moved = np.median(fields.correspondences_from_message(received[0]).x_prev
+                      - fields.correspondences_from_message(received[0]).x_cur, axis=0)
+    pairs = (expected[0].stamp - expected[0].previous_stamp) / 1e8
+    assert moved == pytest.approx([3.0 * pairs, 0.0], abs=0.3)
+
+
+def test_packets_wait_for_a_late_camera_info(bench):
+    message_type, messages = ffmpeg_messages(clips.packets('h264', START))
+    received = bench.listen(Correspondences, 'correspondences')
+    node = bench.start(DecoderNode)
+    publisher = bench.advertise(message_type, 'video')
+    for msg in messages:
+        publisher.publish(msg)
+    bench.spin(lambda: False, 0.5)
+    assert received == []
+    assert 'no camera_info yet' in messages_of(node)
+    bench.peer.create_publisher(CameraInfo, 'camera_info', LATCHED).publish(clips.camera_info())
+    expected = expected_records(clips.packets('h264', START))
+    assert bench.spin(lambda: len(received) >= len(expected))
+    assert_arrived(received, expected)
+
+
+def test_an_uncalibrated_camera_is_an_error_that_says_so(bench):
+    node = bench.start(DecoderNode)
+    publish_camera(bench, clips.camera_info(0.0))
+    assert bench.spin(lambda: 'not calibrated' in messages_of(node))
+    assert node.health.status().level == b'\x02'
+
+
+def test_a_camera_of_another_size_is_an_error_that_names_both(bench):
+    message_type, messages = ffmpeg_messages(clips.packets('h264', START))
+    node = bench.start(DecoderNode)
+    info = clips.camera_info()
+    info.width, info.height = 640, 480
+    publish_camera(bench, info)
+    publisher = bench.advertise(message_type, 'video')
+    for msg in messages:
+        publisher.publish(msg)
+    assert bench.spin(lambda: '192x128' in messages_of(node) and '640x480' in messages_of(node))
+
+
+def test_a_best_effort_publisher_is_matched_by_itself(bench):
+    message_type, messages = ffmpeg_messages(clips.packets('h264', START))
+    received = bench.listen(Correspondences, 'correspondences')
+    bench.start(DecoderNode, input_type='ffmpeg')
+    publish_camera(bench)
+    publisher = bench.advertise(message_type, 'video', BEST_EFFORT)
+    for msg in messages:
+        publisher.publish(msg)
+    assert bench.spin(lambda: len(received) > 1)
+
+
+def test_a_clash_of_qos_names_topic_settings_and_cure(bench):
+    message_type, _ = ffmpeg_messages([])
+    node = bench.start(DecoderNode, input_type='ffmpeg', qos_reliability='reliable')
+    bench.peer.create_publisher(message_type, 'video', BEST_EFFORT)
+    assert bench.spin(lambda: 'best effort' in messages_of(node))
+    said = messages_of(node)
+    assert '/video' in said
+    assert 'subscribed reliable' in said
+    assert 'set qos_reliability to best_effort' in said
+
+
+def test_a_topic_of_another_type_is_an_error_that_names_the_usable_ones(bench):
+    node = bench.start(DecoderNode)
+    bench.peer.create_publisher(String, 'video', 10)
+    assert bench.spin(lambda: 'std_msgs/msg/String' in messages_of(node))
+    assert 'FFMPEGPacket' in messages_of(node)
+
+
+def test_a_codec_without_vectors_is_an_error_that_names_the_cure(bench):
+    module = pytest.importorskip('foxglove_msgs.msg')
+    node = bench.start(DecoderNode)
+    publish_camera(bench)
+    publisher = bench.advertise(module.CompressedVideo, 'video')
+    publisher.publish(module.CompressedVideo(format='vp9', data=b'\x82\x49\x83\x42'))
+    assert bench.spin(lambda: 'vp9' in messages_of(node).lower())
+
+
+def test_reset_and_pause(bench):
+    message_type, messages = ffmpeg_messages(clips.packets('h264', START))
+    received = bench.listen(Correspondences, 'correspondences')
+    node = bench.start(DecoderNode)
+    publish_camera(bench)
+    publisher = bench.advertise(message_type, 'video')
+    assert bench.call(SetBool, '/decoder/pause', data=True).success
+    for msg in messages:
+        publisher.publish(msg)
+    bench.spin(lambda: False, 0.5)
+    assert received == []
+    assert 'paused' in messages_of(node)
+    assert bench.call(SetBool, '/decoder/pause', data=False).success
+    for msg in messages:
+        publisher.publish(msg)
+    n = len(expected_records(clips.packets('h264', START)))
+    assert bench.spin(lambda: len(received) == n)
+    assert bench.call(Trigger, '/decoder/reset').success
+    for msg in messages:
+        publisher.publish(msg)
+    assert bench.spin(lambda: len(received) == 2 * n)
+    assert_arrived(received[n:], expected_records(clips.packets('h264', START)))
+
+
+def test_a_video_that_starts_again_is_a_new_stream(bench):
+    packets = clips.packets('h264', START)
+    message_type, messages = ffmpeg_messages([*packets, *clips.packets('h264', 0)])
+    received = bench.listen(Correspondences, 'correspondences')
+    bench.start(DecoderNode)
+    publish_camera(bench)
+    publisher = bench.advertise(message_type, 'video')
+    for msg in messages:
+        publisher.publish(msg)
+    n = len(expected_records(packets))
+    assert bench.spin(lambda: len(received) >= 2 * n)
+    assert_arrived(received[n:], expected_records(clips.packets('h264', 0)))
+
+
+def test_a_file_is_decoded_to_its_end(bench, tmp_path):
+    write_video(tmp_path / 'clip.mp4', clips.pictures(), clips.FPS)
+    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    received = bench.listen(Correspondences, 'correspondences')
+    node = bench.start(DecoderNode, source=str(tmp_path / 'clip.mp4'), source_rate=0.0,
+                       camera_info_url=f'file://{tmp_path}/camera.yaml', stamp_origin='stream',
+                       camera_frame='front')
+    assert bench.spin(lambda: 'ended' in str(node.health.status().values))
+    bench.spin(lambda: False, 0.2)
+    assert received[-1].header.stamp.sec == 1
+    assert received[-1].header.stamp.nanosec == 500_000_000
+    assert received[0].header.frame_id == 'front'
