@@ -91,11 +91,12 @@ echo "$ros" >"$venv/.ros"
 echo "mv_slapse set-up: installing libraries into $venv (ROS: $ros)"
 "$venv/bin/python" -m uv --version >/dev/null 2>&1 ||
     "$venv/bin/python" -m pip install -q -c "$here/pins.txt" uv >>"$log" 2>&1 || true
+set -- -c "$here/pins.txt" -r "$here/runtime.txt" -r "$here/dev.txt"
 case $ros in
-apt) install -c "$here/pins_apt.txt" -r "$here/runtime.txt" -r "$here/dev.txt" ;;
-none) install -c "$here/pins.txt" -r "$here/runtime.txt" -r "$here/dev.txt" ;;
+apt) install "$@" -c "$here/pins_apt.txt" ;;
+none) install "$@" -c "$here/pins_wheels.txt" ;;
 wheels)
-    install -c "$here/pins.txt" -r "$here/runtime.txt" -r "$here/dev.txt" -r "$here/ros.txt"
+    install "$@" -c "$here/pins_wheels.txt" -r "$here/ros.txt"
     # The wheels' CMake files name an include folder of the machine that built them.
     sed -i 's#"/opt/python/[^"]*/numpy/_core/include"#""#' \
         "$venv"/share/*/cmake/export_*__rosidl_generator_pyExport.cmake
