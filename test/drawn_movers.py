@@ -3,9 +3,18 @@
 from dataclasses import dataclass, field
 
 from mv_slapse.planes.moving import fit_moving_plane
-from mv_slapse.records import (CameraMotion, Extraction, Label, MapPlane, MotionStatus,
-                               PlaneObservation, SceneEstimate, ScaleStatus, SegmentKind,
-                               TrackingStatus)
+from mv_slapse.records import (
+    CameraMotion,
+    Extraction,
+    Label,
+    MapPlane,
+    MotionStatus,
+    PlaneObservation,
+    ScaleStatus,
+    SceneEstimate,
+    SegmentKind,
+    TrackingStatus,
+)
 import numpy as np
 from scipy.spatial.transform import Rotation
 

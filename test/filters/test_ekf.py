@@ -1,0 +1,101 @@
+"""The filter against other formulations of the same estimate."""
+
+from mv_slapse.filters import ekf
+import numpy as np
+import pytest
+
+
+def random_covariance(rng, n):
+    A = rng.normal(size=(n, n))
+    return A @ A.T + 0.1 * np.eye(n)
+
+
+@pytest.fixture
+def state(rng):
+    state = ekf.State()
+    for name, n in (('a', 3), ('b', 2), ('camera', 4)):
+        state.add(name, rng.normal(size=n), random_covariance(rng, n))
+    ekf.update(state, rng.normal(size=2), rng.normal(size=(2, 9)), np.eye(2))
+    return state
+
+
+def test_linear_update_is_the_weighted_least_squares_solution(rng, state):
+    mu, P = state.mu, state.P
+    H, R, z = rng.normal(size=(3, 9)), random_covariance(rng, 3), rng.normal(size=3)
+    ekf.update(state, z - H @ mu, H, R)
+    information = np.linalg.inv(P) + H.T @ np.linalg.inv(R) @ H
+    expected = np.linalg.solve(information, np.linalg.inv(P) @ mu + H.T @ np.linalg.inv(R) @ z)
+    np.testing.assert_allclose(state.mu, expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(state.P, np.linalg.inv(information), rtol=1e-6, atol=1e-9)
+
+
+def test_information_form_is_the_same_update(rng, state):
+    twin = ekf.State()
+    twin.add('all', state.mu, state.P)
+    H, R, innovation = rng.normal(size=(40, 9)), random_covariance(rng, 40), rng.normal(size=40)
+    ekf.update(state, innovation, H, R)
+    weighted = H.T @ np.linalg.inv(R)
+    ekf.update_information(twin, weighted @ H, weighted @ innovation)
+    np.testing.assert_allclose(twin.mu, state.mu, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(twin.P, state.P, rtol=1e-6, atol=1e-8)
+
+
+def test_updates_one_by_one_are_the_update_at_once(rng, state):
+    twin = ekf.State()
+    twin.add('all', state.mu, state.P)
+    H, z = rng.normal(size=(3, 9)), rng.normal(size=3)
+    ekf.update(state, z - H @ state.mu, H, np.diag([1.0, 2.0, 3.0]))
+    for row, value, variance in zip(H, z, (1.0, 2.0, 3.0), strict=True):
+        ekf.update(twin, np.array([value - row @ twin.mu]), row[None], np.array([[variance]]))
+    np.testing.assert_allclose(twin.mu, state.mu)
+    np.testing.assert_allclose(twin.P, state.P, atol=1e-12)
+
+
+def test_a_suboptimal_update_still_leaves_a_symmetric_positive_covariance(rng, state):
+    for _ in range(50):
+        ekf.update(state, rng.normal(size=1), 1e4 * rng.normal(size=(1, 9)), np.array([[1e-9]]))
+    np.testing.assert_array_equal(state.P, state.P.T)
+    assert np.linalg.eigvalsh(state.P).min() > -1e-12
+
+
+def test_predict_moves_mean_and_covariance(rng, state):
+    F, Q, P = rng.normal(size=(9, 9)), random_covariance(rng, 9), state.P.copy()
+    mean = F @ state.mu
+    ekf.predict(state, mean, F, Q)
+    np.testing.assert_allclose(state.P, F @ P @ F.T + Q)
+    np.testing.assert_array_equal(state.mu, mean)
+
+
+def test_removing_a_block_leaves_the_rest_as_it_was(state):
+    a, camera = state['a'].copy(), state['camera'].copy()
+    cross = state.covariance('a', 'camera').copy()
+    state.remove('b')
+    np.testing.assert_array_equal(state['a'], a)
+    np.testing.assert_array_equal(state['camera'], camera)
+    np.testing.assert_array_equal(state.covariance('a', 'camera'), cross)
+    assert state.names == ('a', 'camera')
+    assert 'b' not in state
+
+
+def test_an_added_block_is_independent_and_comes_last(rng, state):
+    P = random_covariance(rng, 2)
+    state.add('new', np.array([1.0, 2.0]), P)
+    np.testing.assert_array_equal(state['new'], [1, 2])
+    np.testing.assert_array_equal(state.covariance('new'), P)
+    assert not np.any(state.covariance('new', 'camera'))
+    with pytest.raises(KeyError, match='new'):
+        state.add('new', np.zeros(1), np.eye(1))
+
+
+def test_a_derived_block_is_correlated_as_its_samples_are(rng, state):
+    J, noise = rng.normal(size=(2, 9)), random_covariance(rng, 2)
+    samples = rng.multivariate_normal(state.mu, state.P, 40000)
+    derived = samples @ J.T + rng.multivariate_normal(np.zeros(2), noise, 40000)
+    state.add_derived('clone', J @ state.mu, J, noise)
+    expected = np.cov(np.c_[samples, derived].T)
+    scale = np.sqrt(np.outer(np.diag(state.P), np.diag(state.P)))
+    np.testing.assert_allclose(state.P / scale, expected / scale, atol=0.03)
+
+
+def test_squared_distance_counts_standard_deviations():
+    assert ekf.squared_distance(np.array([3.0, 2.0]), np.diag([9.0, 1.0])) == pytest.approx(5)
