@@ -51,6 +51,14 @@ class DecoderSettings(Checked):
         0.1, '-', 'the same, as a share of the length of the vector', 0.0)
     min_support: float = setting(
         2.0, '-', 'least support of a vector by its own and the 8 macroblocks around', 0.0, 9.0)
+    expectation_slack: float = setting(
+        4.0, 'px', 'how far a vector may be from the motion of the pairs before, where it may '
+        'point to one of several reference pictures', 0.0)
+    expectation_tolerance: float = setting(
+        0.25, '-', 'the same, as a share of the expected vector', 0.0)
+    split_flow: float = setting(
+        16.0, 'px', 'median motion of a segment beyond which its middle B frame is a pose of its '
+        'own; 0: always', 0.0)
     min_parallax: float = setting(
         4.0, 'px', 'median parallax after removing rotation at which a pair is long enough; '
         'shorter ones are chained', 0.0)

@@ -4,7 +4,7 @@ Only start codes, sequence parameter sets and the first bits of slice headers ar
 (ITU-T H.264 7.3, ISO/IEC 13818-2 6.2).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 NAL_SLICE, NAL_IDR, NAL_SPS, NAL_PPS = 1, 5, 7, 8
@@ -29,6 +29,8 @@ class SequenceParameters:
         Whether frame_num may have gaps without loss.
     separate_planes : bool
         Whether slice headers carry a colour plane.
+    order_type, order_bits : int
+        How slice headers carry the picture order: pic_order_cnt_type and the bits of its lsb.
     """
 
     width: int
@@ -38,6 +40,43 @@ class SequenceParameters:
     log2_max_frame_num: int
     gaps_allowed: bool
     separate_planes: bool
+    order_type: int
+    order_bits: int
+
+
+@dataclass(frozen=True)
+class PictureParameters:
+    """H.264 picture parameter set, as far as it is needed.
+
+    Attributes
+    ----------
+    has_bottom_order, has_redundant : bool
+        Whether slice headers carry delta_pic_order_cnt_bottom and redundant_pic_cnt.
+    references : tuple of int
+        Default number of pictures in list 0 and list 1.
+    """
+
+    has_bottom_order: bool
+    has_redundant: bool
+    references: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class SliceHeader:
+    """First slice of a picture.
+
+    Attributes
+    ----------
+    is_idr, is_reference : bool
+    frame_num : int
+    references : int
+        Most pictures in a list of references: 1 means that no vector is ambiguous.
+    """
+
+    is_idr: bool
+    is_reference: bool
+    frame_num: int
+    references: int
 
 
 class BitReader:
@@ -115,12 +154,12 @@ def _parse_sps(bits: BitReader) -> SequenceParameters:
     bits.ue()
     separate = _skip_chroma_and_scaling(bits) if profile in HIGH_PROFILES else False
     log2_max_frame_num = bits.ue() + 4
-    _skip_picture_order(bits)
+    order_type, order_bits = _picture_order(bits)
     references, gaps = bits.ue(), bool(bits.bits(1))
     width, rows = 16 * (bits.ue() + 1), 16 * (bits.ue() + 1)
     frames_only = bits.bits(1)
     return SequenceParameters(width, rows * (2 - frames_only), references, not frames_only,
-                              log2_max_frame_num, gaps, separate)
+                              log2_max_frame_num, gaps, separate, order_type, order_bits)
 
 
 def _skip_chroma_and_scaling(bits: BitReader) -> bool:
@@ -145,58 +184,115 @@ def _skip_scaling_list(bits: BitReader, size: int):
         last = following or last
 
 
-def _skip_picture_order(bits: BitReader):
+def _picture_order(bits: BitReader) -> tuple[int, int]:
+    """Return the type of picture order and the bits that a slice header spends on it."""
     kind = bits.ue()
     if kind == 0:
-        bits.ue()
-    elif kind == 1:
-        bits.bits(1)
-        bits.se()
-        bits.se()
+        return 0, bits.ue() + 4
+    if kind == 1:
+        always_zero = bits.bits(1)
+        bits.se(), bits.se()
         for _ in range(bits.ue()):
             bits.se()
+        return (2 if always_zero else 1), 0
+    return kind, 0
 
 
-class FrameNumbers:
-    """Watches H.264 frame_num for lost reference pictures (ALGORITHM 2, trap 7)."""
+def parse_pps(unit: bytes) -> tuple[int, PictureParameters] | None:
+    """Return id and fields of a picture parameter set, H.264 7.3.2.2; None where it is broken."""
+    bits = BitReader(unit[1:])
+    try:
+        number = bits.ue()
+        bits.ue()
+        bits.bits(1)
+        bottom = bool(bits.bits(1))
+        if bits.ue():
+            return None  # slice groups: only baseline streams that no encoder writes
+        references = bits.ue() + 1, bits.ue() + 1
+        bits.bits(3)
+        bits.se(), bits.se(), bits.se()
+        bits.bits(2)
+        return number, PictureParameters(bottom, bool(bits.bits(1)), references)
+    except EOFError:
+        return None
+
+
+class Headers:
+    """Follows the headers of an H.264 stream: parameter sets, frame_num, references."""
 
     def __init__(self):
         """Know no parameter set yet."""
         self.sps: SequenceParameters | None = None
+        self._pps: dict[int, PictureParameters] = {}
         self._last: int | None = None
 
-    def read_parameters(self, units: Iterator[bytes]):
-        """Take the newest sequence parameter set among the units."""
+    def read_parameters(self, units: Iterable[bytes]):
+        """Take the newest parameter sets among the units."""
         for unit in units:
-            if unit and unit[0] & 31 == NAL_SPS:
+            kind = unit[0] & 31 if unit else 0
+            if kind == NAL_SPS:
                 self.sps = parse_sps(unit) or self.sps
+            elif kind == NAL_PPS:
+                self._pps.update([parse_pps(unit) or (-1, None)])
 
-    def is_gap(self, packet: bytes) -> bool:
-        """Return whether a reference picture is missing before this packet, H.264 7.4.3."""
+    def read_slice(self, packet: bytes) -> SliceHeader | None:
+        """Return the first slice header of a packet, H.264 7.3.3; None where it is not known."""
         units = list(nal_units(packet))
         self.read_parameters(units)
         unit = next((u for u in units if u and u[0] & 31 in (NAL_SLICE, NAL_IDR)), None)
-        if unit is None or self.sps is None or self.sps.interlaced or self.sps.gaps_allowed:
-            return False
-        number = self._frame_num(unit)
-        if number is None:
-            return False
-        is_reference, is_idr = bool(unit[0] & 0x60), unit[0] & 31 == NAL_IDR
-        expected = None if self._last is None else self._last + 1
-        gap = (not is_idr and expected is not None
-               and (number - expected) % (1 << self.sps.log2_max_frame_num) != 0)
-        if is_reference or gap:
-            self._last = number
-        return gap
-
-    def _frame_num(self, unit: bytes) -> int | None:
-        bits = BitReader(unit[1:24])
+        if unit is None or self.sps is None or self.sps.interlaced:
+            return None
         try:
-            bits.ue(), bits.ue(), bits.ue()
-            bits.bits(2 if self.sps.separate_planes else 0)
-            return bits.bits(self.sps.log2_max_frame_num)
+            return self._slice(unit)
         except EOFError:
             return None
+
+    def is_gap(self, header: SliceHeader | None) -> bool:
+        """Return whether a reference picture is missing before this one, H.264 7.4.3.
+
+        Neither FFmpeg nor the container tells (ALGORITHM 2, trap 7).
+        """
+        if header is None or self.sps.gaps_allowed:
+            return False
+        last, modulus = self._last, 1 << self.sps.log2_max_frame_num
+        gap = (not header.is_idr and last is not None
+               and (header.frame_num - last - 1) % modulus != 0)
+        if header.is_reference or gap:
+            self._last = header.frame_num
+        return gap
+
+    def _slice(self, unit: bytes) -> SliceHeader:
+        bits, sps = BitReader(unit[1:40]), self.sps
+        is_idr, is_reference = unit[0] & 31 == NAL_IDR, bool(unit[0] & 0x60)
+        bits.ue()
+        kind, pps = bits.ue() % 5, self._pps.get(bits.ue())
+        bits.bits(2 if sps.separate_planes else 0)
+        number = bits.bits(sps.log2_max_frame_num)
+        if pps is None:
+            return SliceHeader(is_idr, is_reference, number, sps.max_num_ref_frames)
+        if is_idr:
+            bits.ue()
+        self._skip_order(bits, pps)
+        return SliceHeader(is_idr, is_reference, number, _references(bits, kind, pps))
+
+    def _skip_order(self, bits: BitReader, pps: PictureParameters):
+        bits.bits(self.sps.order_bits)
+        deltas = {0: int(pps.has_bottom_order), 1: 1 + int(pps.has_bottom_order)}
+        for _ in range(deltas.get(self.sps.order_type, 0)):
+            bits.se()
+        if pps.has_redundant:
+            bits.ue()
+
+
+def _references(bits: BitReader, kind: int, pps: PictureParameters) -> int:
+    """Return the longer list of a slice of kind P (0) or B (1); 0 for an I slice."""
+    if kind not in (0, 1):
+        return 0
+    lists = pps.references[:kind + 1]
+    bits.bits(kind)
+    if bits.bits(1):
+        lists = tuple(bits.ue() + 1 for _ in lists)
+    return max(lists)
 
 
 def sniff(data: bytes) -> str:

@@ -1,14 +1,17 @@
 """Packets in, correspondences out: the decoder as one object with one verb."""
 
 from mv_slapse.codec.chaining import Chainer
+from mv_slapse.codec.evidence import halves
 from mv_slapse.codec.frames import FrameDecoder
 from mv_slapse.codec.merging import merge
 from mv_slapse.codec.motion_vectors import FrameVectors
 from mv_slapse.codec.packet import Packet
+from mv_slapse.codec.prior import MotionPrior
 from mv_slapse.codec.segments import Segment, SegmentBuilder
 from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Correspondences, SegmentKind
+import numpy as np
 
 
 class CorrespondenceDecoder:
@@ -20,6 +23,7 @@ class CorrespondenceDecoder:
         self._chainer = Chainer(settings, camera)
         self._frames = FrameDecoder(with_luma=False)
         self._segments = SegmentBuilder()
+        self._expect = MotionPrior()
 
     def feed(self, packet: Packet) -> list[Correspondences]:
         """Return the correspondences that this packet completes, often none, in order of time.
@@ -34,13 +38,28 @@ class CorrespondenceDecoder:
 
     def _join(self, frames: list[FrameVectors]) -> list[Correspondences]:
         segments = [self._segments.add(frame) for frame in frames]
-        return [pair for segment in segments if segment
-                for pair in self._chainer.add(self._correspondences(segment))]
+        return [ready for segment in segments if segment
+                for pair in self._pairs(segment) for ready in self._chainer.add(pair)]
 
-    def _correspondences(self, segment: Segment) -> Correspondences:
+    def _pairs(self, segment: Segment) -> list[Correspondences]:
+        """Merge a segment, in two parts where its motion is too long for direct vectors."""
         if segment.kind is SegmentKind.BROKEN:
-            frame = segment.current
-            return Correspondences(frame.stamp, segment.previous.stamp, frame.width,
-                                   frame.height, segment.kind, len(segment.between),
-                                   segment.reason)
-        return merge(segment, self._settings)
+            return [_broken(segment)]
+        whole = self._merged(segment)
+        flow = np.hypot(*(whole.x_prev - whole.x_cur).T)
+        if not segment.between or len(flow) and np.median(flow) < self._settings.split_flow:
+            pairs = [whole]
+        else:
+            pairs = [self._merged(half) for half in halves(segment, self._settings)]
+        for pair in pairs:
+            self._expect.add(pair)
+        return pairs
+
+    def _merged(self, segment: Segment) -> Correspondences:
+        return merge(segment, self._settings, self._expect)
+
+
+def _broken(segment: Segment) -> Correspondences:
+    frame = segment.current
+    return Correspondences(frame.stamp, segment.previous.stamp, frame.width, frame.height,
+                           segment.kind, len(segment.between), segment.reason)

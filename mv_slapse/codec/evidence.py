@@ -1,10 +1,12 @@
 """Direct and indirect evidence of a segment's motion, [SLAPSE] III-A and figure 2(b)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mv_slapse.codec.motion_vectors import FrameVectors, FUTURE, PAST
+from mv_slapse.codec.prior import at, MotionPrior
 from mv_slapse.codec.segments import Segment
-from mv_slapse.records import FrameType
+from mv_slapse.config import DecoderSettings
+from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
 
 CELL = 8  # px, the smallest block that FFmpeg tells
@@ -36,28 +38,54 @@ class Evidence:
         return len(self.x_cur)
 
 
-def collect(segment: Segment, slack: float, tolerance: float) -> Evidence:
-    """Return all evidence of a segment.
+def collect(segment: Segment, settings: DecoderSettings,
+            expect: MotionPrior | None = None) -> Evidence:
+    """Return all evidence of a segment that is not known to be wrong.
 
     Parameters
     ----------
     segment : Segment
-    slack, tolerance : float
-        A forward and a backward vector may depart from constant velocity by
-        slack [px] + tolerance * length of the motion (ALGORITHM 2, trap 3).
+    settings : DecoderSettings
+    expect : MotionPrior, optional
+        Tells which vectors of pictures with several references span just this segment.
     """
-    parts = [_indirect(segment, frame, slack, tolerance) for frame in segment.between]
+    parts = [_indirect(segment, frame, settings) for frame in segment.between]
     if segment.current.frame_type is FrameType.P:
         parts.insert(0, _direct(segment.current))
-    if not parts:
-        return _empty()
+    evidence = _joined(parts)
+    ambiguous = max(f.references for f in (*segment.between, segment.current)) > 1
+    if expect is None or not ambiguous:
+        return evidence
+    return _one_interval(evidence, segment, settings, expect)
+
+
+def _joined(parts: list[Evidence]) -> Evidence:
+    parts = parts or [Evidence(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32),
+                               np.zeros(0, np.float32), np.zeros((0, 2), np.uint8))]
     return Evidence(*(np.concatenate([getattr(part, name) for part in parts])
                       for name in ('x_cur', 'vector', 'variance', 'block')))
 
 
-def _empty() -> Evidence:
-    none = np.zeros((0, 2), np.float32)
-    return Evidence(none, none, np.zeros(0, np.float32), np.zeros((0, 2), np.uint8))
+def _take(evidence: Evidence, rows: np.ndarray) -> Evidence:
+    return Evidence(evidence.x_cur[rows], evidence.vector[rows], evidence.variance[rows],
+                    evidence.block[rows])
+
+
+def _one_interval(evidence: Evidence, segment: Segment, settings: DecoderSettings,
+                  expect: MotionPrior) -> Evidence:
+    """Drop the vectors that rather point to another picture than key frame k-1.
+
+    FFmpeg tells the direction, not which picture (ALGORITHM 2, trap 2). A vector to another
+    picture is longer or shorter than expected by at least a third.
+    """
+    seconds = (segment.current.stamp - segment.previous.stamp) * 1e-9
+    field = expect.field(seconds, evidence.x_cur, evidence.vector)
+    if field is None:
+        return evidence
+    expected = at(field, evidence.x_cur)
+    gap = np.hypot(*(evidence.vector - expected).T)
+    return _take(evidence, gap < settings.expectation_slack
+                 + settings.expectation_tolerance * np.hypot(*expected.T))
 
 
 def _direct(frame: FrameVectors) -> Evidence:
@@ -66,19 +94,34 @@ def _direct(frame: FrameVectors) -> Evidence:
                     np.ones(np.count_nonzero(past), np.float32), frame.block[past])
 
 
-def _indirect(segment: Segment, frame: FrameVectors, slack: float,
-              tolerance: float) -> Evidence:
+def _indirect(segment: Segment, frame: FrameVectors, settings: DecoderSettings) -> Evidence:
     """Join the two vectors of each block of a B frame; the later end is where it lies in k."""
+    past, future = bent(segment, frame, settings)[0]
+    to_future = frame.displacement[future]
+    return Evidence(frame.x[past] + to_future, frame.displacement[past] - to_future,
+                    np.full(len(past), 2, np.float32), frame.block[past])
+
+
+def bent(segment: Segment, frame: FrameVectors, settings: DecoderSettings):
+    """Split the blocks of a B frame with two vectors into good ones and bent ones.
+
+    Over the tenth of a second of a segment the motion is nearly uniform, so the two vectors are
+    opposite and as long as the two times. If not, one of them is wrong: H.264 also exports
+    vectors of lists that a block does not use (ALGORITHM 2, trap 3).
+
+    Returns
+    -------
+    good, bad : tuple of (past, future)
+        Rows of the vectors of each block.
+    """
     past, future = _pairs(frame)
     to_past, to_future = frame.displacement[past], frame.displacement[future]
     share = np.float32((frame.stamp - segment.previous.stamp)
                        / (segment.current.stamp - segment.previous.stamp))
     vector = to_past - to_future
-    bend = np.hypot(*(to_past + share * -vector).T)
-    good = bend < slack + tolerance * np.hypot(*vector.T)
-    x = frame.x[past] + to_future
-    return Evidence(x[good], vector[good], np.full(np.count_nonzero(good), 2, np.float32),
-                    frame.block[past][good])
+    bend = np.hypot(*(to_past - share * vector).T)
+    good = bend < settings.bend_slack + settings.bend_tolerance * np.hypot(*vector.T)
+    return (past[good], future[good]), (past[~good], future[~good])
 
 
 def _pairs(frame: FrameVectors) -> tuple[np.ndarray, np.ndarray]:
@@ -94,3 +137,30 @@ def _pairs(frame: FrameVectors) -> tuple[np.ndarray, np.ndarray]:
     past, future = rows[:, (rows >= 0).all(axis=0)]
     same = (frame.block[past] == frame.block[future]).all(axis=1)
     return past[same], future[same]
+
+
+def halves(segment: Segment, settings: DecoderSettings) -> tuple[Segment, Segment]:
+    """Return a segment as two, with its middle B frame as a pose between its key frames.
+
+    Where key frames lie so far apart that most of the direct vectors fail, the B frame's own
+    vectors, over half the distance, are good (ALGORITHM 2, "B frames are poses too"). The half
+    after it holds the B frame's backward vectors, turned round.
+    """
+    middle = segment.between[len(segment.between) // 2]
+    wrong = np.zeros(len(middle), bool)
+    wrong[np.concatenate(bent(segment, middle, settings)[1])] = True
+    past = np.flatnonzero((middle.direction == PAST) & ~wrong)
+    future = np.flatnonzero((middle.direction == FUTURE) & ~wrong)
+    first = replace(middle, frame_type=FrameType.P, x=middle.x[past],
+                    displacement=middle.displacement[past], direction=middle.direction[past],
+                    block=middle.block[past])
+    back = middle.displacement[future]
+    second = replace(segment.current, frame_type=FrameType.P, x=middle.x[future] + back,
+                     displacement=-back, direction=-middle.direction[future],
+                     block=middle.block[future], references=middle.references)
+    return (Segment(segment.previous, first, (), _first_kind(segment)),
+            Segment(first, second, (), SegmentKind.PP))
+
+
+def _first_kind(segment: Segment) -> SegmentKind:
+    return SegmentKind.IP if segment.previous.frame_type is FrameType.I else SegmentKind.PP

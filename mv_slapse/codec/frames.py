@@ -6,6 +6,7 @@ from mv_slapse.codec.motion_vectors import columns, FrameVectors
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
 from mv_slapse.records import FrameType
+import numpy as np
 
 WITH_VECTORS = ('h264', 'mpeg2video', 'mpeg1video', 'mpeg4', 'h263', 'flv1')
 MAX_PIXELS = 64_000_000
@@ -33,9 +34,10 @@ class FrameDecoder:
         """Open nothing until the first packet tells the codec."""
         self._with_luma = with_luma
         self._context = None
-        self._numbers = bitstream.FrameNumbers()
+        self._headers = bitstream.Headers()
         self._stamps = _Stamps()
         self._damage: dict[int, str] = {}
+        self._references: dict[int, int] = {}
         self._lost = ''
         self._count = 0
         self._last_key = b''
@@ -43,13 +45,13 @@ class FrameDecoder:
     @property
     def references(self) -> int:
         """Most pictures that a vector may point to in one direction; 1 unless H.264 says more."""
-        sps = self._numbers.sps
+        sps = self._headers.sps
         return max(sps.max_num_ref_frames, 1) if sps else 1
 
     @property
     def interlaced(self) -> bool:
         """Whether H.264 may code fields."""
-        return bool(self._numbers.sps and self._numbers.sps.interlaced)
+        return bool(self._headers.sps and self._headers.sps.interlaced)
 
     def feed(self, packet: Packet) -> list[FrameVectors]:
         """Return the pictures that this packet makes available.
@@ -80,7 +82,7 @@ class FrameDecoder:
         if packet.extradata:
             self._context.extradata = packet.extradata
             if codec == 'h264':
-                self._numbers.read_parameters(bitstream.parameter_sets(packet.extradata))
+                self._headers.read_parameters(bitstream.parameter_sets(packet.extradata))
         # Frame threads corrupt exported vectors; the loop filter does not touch them.
         self._context.thread_type = 'NONE'
         self._context.options = {
@@ -92,7 +94,9 @@ class FrameDecoder:
         self._count += 1
         self._stamps.add(self._count, packet.stamp)
         if self._context.name == 'h264':
-            if self._numbers.is_gap(packet.data):
+            header = self._headers.read_slice(packet.data)
+            self._references[self._count] = header.references if header else self.references
+            if self._headers.is_gap(header):
                 self._damage[self._count] = 'a reference picture was lost (gap in frame_num)'
         elif not bitstream.is_b_picture(packet.data):
             self._last_key = packet.data
@@ -116,11 +120,12 @@ class FrameDecoder:
         damage, self._lost = self._damage.pop(picture.pts, '') or self._lost, ''
         if getattr(picture, 'is_corrupt', False):
             damage = damage or 'the decoder calls the picture corrupt'
+        references = self._references.pop(picture.pts, 1)
         exported = picture.side_data.get('MOTION_VECTORS')
         table = columns(None if exported is None else exported.to_ndarray())
-        keep = self._with_luma and kind is not FrameType.B
-        return FrameVectors(stamp, kind, picture.width, picture.height, damage=damage,
-                            luma=picture.to_ndarray(format='gray') if keep else None, **table)
+        luma = _luma(picture) if self._with_luma and kind is not FrameType.B else None
+        return FrameVectors(stamp, kind, picture.width, picture.height, references=references,
+                            damage=damage, luma=luma, **table)
 
 
 class _Stamps:
@@ -156,3 +161,10 @@ def _numbered(data: bytes, number: int) -> av.Packet:
     packet = av.Packet(data)
     packet.pts = packet.dts = number
     return packet
+
+
+def _luma(picture: av.VideoFrame) -> np.ndarray:
+    """Return the first plane; a view that keeps the picture alive, nothing is copied."""
+    plane = picture.planes[0]
+    rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
+    return rows[:picture.height, :picture.width]

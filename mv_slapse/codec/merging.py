@@ -4,6 +4,7 @@ from math import comb, sqrt
 from typing import NamedTuple
 
 from mv_slapse.codec.evidence import collect, Evidence
+from mv_slapse.codec.prior import MotionPrior
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
 from mv_slapse.records import Correspondences, SegmentKind
@@ -55,7 +56,8 @@ def expected_variance(kind: SegmentKind, n_b: int, p: float, direct_weight: floa
     return total / existence(kind, n_b, p)
 
 
-def merge(segment: Segment, settings: DecoderSettings) -> Correspondences:
+def merge(segment: Segment, settings: DecoderSettings,
+          expect: MotionPrior | None = None) -> Correspondences:
     """Return one correspondence for each macroblock of key frame k whose evidence agrees.
 
     Evidence that neither its own macroblock nor the neighbours support is rejected before
@@ -67,9 +69,11 @@ def merge(segment: Segment, settings: DecoderSettings) -> Correspondences:
     segment : Segment
         Not BROKEN.
     settings : DecoderSettings
+    expect : MotionPrior, optional
+        What the pairs before let expect.
     """
     frame = segment.current
-    evidence = collect(segment, settings.bend_slack, settings.bend_tolerance)
+    evidence = collect(segment, settings, expect)
     x, vector, variance = consensus(evidence, frame.width, frame.height, settings)
     chance = existence(segment.kind, len(segment.between), settings.match_probability)
     return Correspondences(

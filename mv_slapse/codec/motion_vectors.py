@@ -27,6 +27,8 @@ class FrameVectors:
         PAST or FUTURE: the list of references, never which of them (ALGORITHM 2, trap 2).
     block : (N, 2) uint8
         Block width and height [px].
+    references : int
+        Most pictures that a direction may mean; 1: every vector spans one key frame interval.
     damage : str
         Why the vectors cannot be joined to the pictures before, else empty.
     luma : (height, width) uint8 or None
@@ -41,6 +43,7 @@ class FrameVectors:
     displacement: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))
     direction: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
     block: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.uint8))
+    references: int = 1
     damage: str = ''
     luma: np.ndarray | None = None
 
