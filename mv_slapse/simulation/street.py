@@ -54,7 +54,7 @@ class Plane(NamedTuple):
     normal, depth : (3,), float
         normal @ X + depth = 0 with depth >= 0 [m].
     corners : (M, 3) float64
-        Of all its quads [m].
+        Of all its quads, four each in order around it [m].
     """
 
     id: int

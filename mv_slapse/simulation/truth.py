@@ -133,7 +133,8 @@ def scene(street: Street) -> dict:
         'schema_version': 1, 'camera_height': street.settings.camera_height,
         'width': street.camera.width, 'height': street.camera.height, 'fps': street.settings.fps,
         'planes': [{'id': plane.id, 'name': plane.name, 'normal': plane.normal.tolist(),
-                    'depth': plane.depth, 'polygon': outline(plane).tolist()}
+                    'depth': plane.depth, 'polygon': outline(plane).tolist(),
+                    'parts': plane.corners.reshape(-1, 4, 3).round(4).tolist()}
                    for plane in street.planes],
         'movers': [{'id': car.id, 'name': car.name} for car in street.movers],
         'settings': asdict(street.settings)}
