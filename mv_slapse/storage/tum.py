@@ -37,8 +37,8 @@ class Trajectory:
 
 def format_stamp(stamp: int) -> str:
     """Return a stamp [ns] in seconds with all its digits."""
-    sign, (sec, nanosec) = '-' * (stamp < 0), divmod(abs(int(stamp)), 1_000_000_000)
-    return f'{sign}{sec}.{nanosec:09d}'
+    sec, nanosec = divmod(abs(int(stamp)), 1_000_000_000)
+    return f'{"-" if stamp < 0 else ""}{sec}.{nanosec:09d}'
 
 
 def parse_stamp(text: str) -> int:

@@ -1,0 +1,45 @@
+from mv_slapse.errors import UnusableInput
+from mv_slapse.geometry.calibration import camera_from_calibration, check_size
+import numpy as np
+import pytest
+
+K = [500.0, 0, 320, 0, 510.0, 240, 0, 0, 1]
+
+
+def camera(size=(640, 480), K=K, model='plumb_bob', distortion=(0.1, 0, 0, 0, 0)):
+    return camera_from_calibration(size, K, model, distortion, 'left.yaml')
+
+
+def test_the_entries_become_a_camera():
+    made = camera()
+    assert (made.width, made.height, made.lens) == (640, 480, 'plumb_bob')
+    np.testing.assert_array_equal(made.K, np.reshape(K, (3, 3)))
+    np.testing.assert_array_equal(made.distortion, [0.1, 0, 0, 0, 0])
+
+
+@pytest.mark.parametrize(('model', 'lens'), [('fisheye', 'equidistant'), ('', 'plumb_bob'),
+                                             ('equidistant', 'equidistant')])
+def test_no_coefficients_mean_no_distortion(model, lens):
+    made = camera(model=model, distortion=None)
+    assert made.lens == lens
+    assert not np.any(made.distortion)
+
+
+@pytest.mark.parametrize(('wrong', 'message'), [
+    ({'K': [0.0] * 9}, 'not calibrated.*cameracalibrator'),
+    ({'K': K[:8]}, '8 numbers, not 9'),
+    ({'K': [*K[:8], 'one']}, 'not a number'),
+    ({'K': [float('nan'), *K[1:]]}, 'not finite'),
+    ({'size': (0, 480)}, '0x480'),
+    ({'model': 'mirror_ball'}, "'mirror_ball' is not supported; use one of plumb_bob"),
+    ({'model': 'equidistant'}, '4 coefficients, not 5'),
+    ({'distortion': [0.1] * 8}, '4 or 5 coefficients, not 8')])
+def test_a_wrong_entry_is_refused_with_its_origin(wrong, message):
+    with pytest.raises(UnusableInput, match=f'left.yaml: .*{message}'):
+        camera(**wrong)
+
+
+def test_pictures_of_another_size_are_refused_naming_both_sizes():
+    check_size(camera(), 640, 480, 'a.mp4')
+    with pytest.raises(UnusableInput, match='a.mp4.*1280x720.*640x480'):
+        check_size(camera(), 1280, 720, 'a.mp4')

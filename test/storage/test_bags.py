@@ -1,0 +1,156 @@
+from mv_slapse import fields
+from mv_slapse.codec.packet import Packet
+from mv_slapse.errors import UnusableInput, UsageError
+from mv_slapse.geometry.camera import Camera
+from mv_slapse.storage.bag_reader import BagReader, is_bag
+from mv_slapse.storage.bag_writer import BagWriter, McapFile
+from mv_slapse.video_messages import FFMPEG_PACKET, packet_to_fields
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+CAMERA = Camera(64, 48, np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]))
+STAMPS = [0, 300, 100, 200, 600, 400, 500]  # decoding order of I P B B P B B
+
+
+def packet(k, stamp):
+    return Packet(bytes([0, 0, 1, 0, 0, 8 * (1 if k == 0 else 2), k]) * 40, stamp, k == 0,
+                  'mpeg2video')
+
+
+def fill(bag, topics=('/camera/image/ffmpeg',)):
+    for topic in topics:
+        for k, stamp in enumerate(STAMPS):
+            bag.write(topic, FFMPEG_PACKET,
+                      packet_to_fields(packet(k, stamp), (64, 48), k, 'eye'), stamp)
+
+
+@pytest.fixture
+def bag(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.write('/camera/camera_info', 'sensor_msgs/msg/CameraInfo',
+                     fields.camera_to_fields(CAMERA, 0, 'eye'), 0, latched=True)
+        fill(writer)
+    return tmp_path / 'bag'
+
+
+@pytest.fixture(params=['folder', 'file'])
+def path(request, bag):
+    return bag if request.param == 'folder' else bag / 'bag.mcap'
+
+
+def test_packets_come_back_in_the_order_of_decoding(path):
+    assert is_bag(path)
+    reader = BagReader(path)
+    assert reader.video_topic() == '/camera/image/ffmpeg'
+    assert list(reader.packets('/camera/image/ffmpeg')) == [packet(k, stamp)
+                                                            for k, stamp in enumerate(STAMPS)]
+
+
+def test_the_calibration_comes_with_the_video(path):
+    camera = BagReader(path).camera('/camera/image/ffmpeg')
+    assert (camera.width, camera.height) == (64, 48)
+    np.testing.assert_array_equal(camera.K, CAMERA.K)
+
+
+def test_the_nearest_calibration_is_taken(tmp_path):
+    other = Camera(64, 48, 2 * CAMERA.K)
+    with BagWriter(tmp_path / 'bag') as writer:
+        for topic, camera in (('/left/camera_info', CAMERA), ('/right/camera_info', other)):
+            writer.write(topic, 'sensor_msgs/msg/CameraInfo',
+                         fields.camera_to_fields(camera, 0, 'eye'), 0)
+        fill(writer, ['/right/image/ffmpeg'])
+    reader = BagReader(tmp_path / 'bag')
+    assert reader.camera('/right/image/ffmpeg').K[0, 0] == other.K[0, 0]
+
+
+def test_log_times_never_go_back(bag):
+    with AnyReader([bag]) as reader:
+        times = [time for _, time, _ in reader.messages()]
+        kinds = {c.topic: c.ext.offered_qos_profiles[0].durability.name
+                 for c in reader.connections}
+    assert times == sorted(times)
+    assert len(set(times)) == len(times)
+    assert kinds == {'/camera/camera_info': 'TRANSIENT_LOCAL', '/camera/image/ffmpeg': 'VOLATILE'}
+
+
+def test_a_cut_bag_gives_what_is_whole(tmp_path):
+    with McapFile(tmp_path / 'a.mcap') as writer:
+        for _ in range(3):
+            fill(writer)
+            writer.write('/noise', 'std_msgs/msg/UInt8MultiArray', {
+                'layout': {'dim': [], 'data_offset': 0},
+                'data': np.random.default_rng(0).integers(0, 256, 2**20)}, 0)
+    whole = (tmp_path / 'a.mcap').read_bytes()
+    (tmp_path / 'cut.mcap').write_bytes(whole[:len(whole) // 2])
+    reader = BagReader(tmp_path / 'cut.mcap')
+    n_packets = len(list(reader.packets(reader.video_topic())))
+    assert reader.is_cut
+    assert n_packets in (len(STAMPS), 2 * len(STAMPS))
+
+
+def test_a_file_is_replaced_only_when_it_is_whole(tmp_path):
+    path = tmp_path / 'a.mcap'
+    path.write_text('old')
+    writer = McapFile(path)
+    fill(writer)
+    assert path.read_text() == 'old'
+    writer.close()
+    assert sorted(tmp_path.iterdir()) == [path]
+    assert BagReader(path).counts == {'/camera/image/ffmpeg': len(STAMPS)}
+
+
+def test_what_a_crash_left_behind_gives_way(tmp_path):
+    fill(McapFile(tmp_path / 'a.mcap'))  # never closed
+    with McapFile(tmp_path / 'a.mcap') as writer:
+        fill(writer)
+    assert BagReader(tmp_path / 'a.mcap').topics == {'/camera/image/ffmpeg': FFMPEG_PACKET}
+
+
+def test_the_same_messages_make_the_same_file(tmp_path):
+    for name in ('a', 'b'):
+        (tmp_path / name).mkdir()
+        with McapFile(tmp_path / name / 'c.mcap') as writer:
+            fill(writer)
+    assert (tmp_path / 'a/c.mcap').read_bytes() == (tmp_path / 'b/c.mcap').read_bytes()
+
+
+def test_an_existing_bag_is_not_overwritten(bag):
+    with pytest.raises(UsageError, match='exists already'):
+        BagWriter(bag)
+
+
+def test_of_several_videos_one_must_be_named(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        fill(writer, ['/left', '/right'])
+    reader = BagReader(tmp_path / 'bag')
+    with pytest.raises(UsageError, match='--topic: /left, /right'):
+        reader.video_topic()
+    assert reader.video_topic('right') == '/right'
+    with pytest.raises(UsageError, match='no topic /up; it has /left, /right'):
+        reader.video_topic('/up')
+
+
+def test_a_bag_without_video_lists_what_it_has(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.write('/info', 'sensor_msgs/msg/CameraInfo',
+                     fields.camera_to_fields(CAMERA, 0, 'eye'), 0)
+    reader = BagReader(tmp_path / 'bag')
+    with pytest.raises(UnusableInput, match=r'no video topic; it has /info \(sensor_msgs'):
+        reader.video_topic()
+    with pytest.raises(UsageError, match='sensor_msgs/msg/CameraInfo, which is no video'):
+        reader.video_topic('/info')
+
+
+def test_what_is_no_bag_is_refused(tmp_path):
+    (tmp_path / 'a.mcap').write_text('not a bag')
+    (tmp_path / 'a.bag').write_text('#ROSBAG V2.0')
+    with pytest.raises(UnusableInput, match='no such bag'):
+        BagReader(tmp_path / 'b.mcap')
+    with pytest.raises(UnusableInput, match='cannot be read as a bag'):
+        BagReader(tmp_path / 'a.mcap')
+    with pytest.raises(UnusableInput, match='rosbags-convert'):
+        BagReader(tmp_path / 'a.bag')
+    (tmp_path / 'empty').mkdir()
+    assert not is_bag(tmp_path / 'empty')
+    assert not is_bag(tmp_path / 'a.mp4')

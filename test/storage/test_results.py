@@ -1,0 +1,154 @@
+from dataclasses import replace
+import json
+from types import SimpleNamespace
+
+import made_up
+from mv_slapse import fields
+from mv_slapse.errors import UsageError
+from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.records import ScaleStatus, TrackingStatus
+from mv_slapse.storage.bag_reader import BagReader
+from mv_slapse.storage.results import ResultsWriter
+from mv_slapse.storage.tables import OBSTACLES_HEADER, PLANES_HEADER, read_table
+from mv_slapse.storage.tum import read_trajectory
+import numpy as np
+import pytest
+
+PERIOD = 100_000_000
+STATUSES = (TrackingStatus.INITIALISING, TrackingStatus.OK, TrackingStatus.LOST,
+            TrackingStatus.PREDICTED)
+
+
+def made_up_step(rng, k, status=TrackingStatus.OK):
+    stamp = (k + 1) * PERIOD
+    return SimpleNamespace(
+        correspondences=made_up.correspondences(rng, stamp=stamp),
+        extraction=made_up.extraction(rng, stamp=stamp),
+        scene=made_up.scene(rng, stamp, status), obstacles=[made_up.obstacle(rng, stamp=stamp)],
+        handovers=[made_up.handover(rng, stamp)])
+
+
+@pytest.fixture
+def steps(rng):
+    return [made_up_step(rng, k, status) for k, status in enumerate(STATUSES)]
+
+
+@pytest.fixture
+def out(tmp_path, steps):
+    with ResultsWriter(tmp_path / 'out') as writer:
+        for step in steps:
+            writer.write(step)
+        writer.close({'frames': 9})
+    return tmp_path / 'out'
+
+
+def test_a_run_leaves_the_files_of_the_contract(out):
+    assert {path.name for path in out.iterdir()} == {
+        'trajectory.tum', 'planes.csv', 'obstacles.csv', 'labels.npz', 'map.json', 'results.mcap',
+        'summary.json'}
+    assert json.loads((out / 'summary.json').read_text()) == {'frames': 9}
+
+
+def test_only_poses_that_are_known_are_written_after_the_origin(out, steps):
+    trajectory = read_trajectory(out / 'trajectory.tum')
+    # the origin is the first key frame of the pair that has the first pose
+    np.testing.assert_array_equal(trajectory.stamps, [PERIOD, 2 * PERIOD, 4 * PERIOD])
+    np.testing.assert_array_equal(trajectory.positions[0], 0)
+    np.testing.assert_allclose(trajectory.positions[2], steps[3].scene.t_world_from_cam,
+                               atol=1e-9)
+
+
+def test_a_run_that_is_lost_throughout_has_no_pose(tmp_path, rng):
+    with ResultsWriter(tmp_path) as writer:
+        writer.write(made_up_step(rng, 0, TrackingStatus.LOST))
+    assert not len(read_trajectory(tmp_path / 'trajectory.tum'))
+    assert not len(read_table(tmp_path / 'planes.csv', PLANES_HEADER)['id'])
+    assert '/odometry' not in BagReader(tmp_path / 'results.mcap').topics
+
+
+def test_planes_and_obstacles_have_a_row_for_each_key_frame(out):
+    planes = read_table(out / 'planes.csv', PLANES_HEADER)
+    obstacles = read_table(out / 'obstacles.csv', OBSTACLES_HEADER)
+    np.testing.assert_array_equal(planes['stamp'], [2 * PERIOD, 4 * PERIOD])
+    np.testing.assert_array_equal(obstacles['stamp'], PERIOD * np.arange(1, 5))
+
+
+def test_labels_have_a_row_for_each_key_frame(out):
+    with np.load(out / 'labels.npz') as labels:
+        shapes = {name: labels[name].shape for name in labels}
+        assert (labels['label'].dtype, labels['plane'].dtype) == (np.int8, np.int32)
+        np.testing.assert_allclose(labels['stamp'], [0.1, 0.2, 0.3, 0.4])
+    n = 20 * 15
+    assert shapes == {'stamp': (4,), 'x': (n,), 'y': (n,), 'label': (4, n), 'plane': (4, n)}
+
+
+def test_the_map_holds_every_plane_there_ever_was(tmp_path, rng):
+    first, last = made_up_step(rng, 0), made_up_step(rng, 1)
+    last.scene = replace(last.scene, planes=(made_up.map_plane(rng, 8),))
+    with ResultsWriter(tmp_path) as writer:
+        writer.write(first)
+        writer.write(last)
+    content = json.loads((tmp_path / 'map.json').read_text())
+    assert (content['schema_version'], content['units']) == (1, 'm')
+    assert content['scale_source'] == 'camera height'
+    assert [(plane['id'], plane['is_current']) for plane in content['planes']] == [
+        (7, False), (8, True)]
+    np.testing.assert_allclose(content['planes'][1]['normal'], last.scene.planes[0].normal)
+
+
+def test_a_map_of_unknown_scale_says_so(tmp_path, rng):
+    step = made_up_step(rng, 0)
+    step.scene = replace(step.scene, scale_status=ScaleStatus.UNKNOWN, scale_source='')
+    with ResultsWriter(tmp_path) as writer:
+        writer.write(step)
+    assert json.loads((tmp_path / 'map.json').read_text())['units'] == 'map unit'
+
+
+def test_the_bag_holds_what_the_nodes_publish(out, steps):
+    reader = BagReader(out / 'results.mcap')
+    assert {'/correspondences', '/planes/observations', '/planes/map', '/planes/handover',
+            '/obstacles', '/odometry', '/pose', '/twist', '/tf', '/tf_static'} == set(
+                reader.topics)
+    messages = {topic: [msg for _, msg in reader.messages([topic])] for topic in reader.topics}
+    assert (len(messages['/odometry']), len(messages['/planes/map'])) == (2, 4)
+    scene = fields.scene_from_messages(messages['/odometry'][0], messages['/planes/map'][1],
+                                       RosFrames())
+    np.testing.assert_allclose(scene.t_world_from_cam, steps[1].scene.t_world_from_cam,
+                               atol=1e-9)
+    pair = fields.correspondences_from_message(messages['/correspondences'][2])
+    np.testing.assert_array_equal(pair.x_prev, steps[2].correspondences.x_prev)
+
+
+def test_the_transform_comes_before_what_needs_it(out):
+    reader = BagReader(out / 'results.mcap')
+    order = [raw.topic for raw, _ in reader.messages(['/tf', '/odometry'])]
+    assert order == ['/tf', '/odometry'] * 2
+
+
+def test_an_interrupted_run_leaves_valid_files(tmp_path, steps):
+    def interrupted_run():
+        with ResultsWriter(tmp_path) as writer:
+            for step in steps[:2]:
+                writer.write(step)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_run()
+    assert len(read_trajectory(tmp_path / 'trajectory.tum')) == 2
+    assert not BagReader(tmp_path / 'results.mcap').is_cut
+    assert (tmp_path / 'labels.npz').exists()
+    assert not (tmp_path / 'summary.json').exists()
+
+
+def test_rows_are_on_disk_before_the_run_ends(tmp_path, steps):
+    writer = ResultsWriter(tmp_path)
+    writer.write(steps[1])
+    assert len(read_trajectory(tmp_path / 'trajectory.tum')) == 2
+    assert len(read_table(tmp_path / 'obstacles.csv', OBSTACLES_HEADER)['id']) == 1
+    writer.close()
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / 'file').touch()
+    with pytest.raises(UsageError, match='file/out cannot be written.*-o'):
+        ResultsWriter(tmp_path / 'file' / 'out')
