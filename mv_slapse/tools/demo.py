@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 import json
 from pathlib import Path
+import sys
 from typing import Any
 
 from mv_slapse.codec.encoder import Encoding, write_video
@@ -53,7 +54,7 @@ def main(args: argparse.Namespace) -> int:
     elif not args.quiet:
         print(text(demo))
     if demo.summary.is_lost:
-        print(lost_message(demo.summary))
+        sys.stderr.write(f'mv_slapse: {lost_message(demo.summary)}\n')
     return LOST if demo.summary.is_lost else 0
 
 
