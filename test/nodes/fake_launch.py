@@ -1,4 +1,4 @@
-"""The part of ``launch`` and ``launch_ros`` that our launch file uses, where ROS' is not installed.
+"""The part of ``launch`` and ``launch_ros`` that our launch file uses, where ROS' is absent.
 
 ``resolve`` evaluates a launch file with arguments and returns what it would start.
 """

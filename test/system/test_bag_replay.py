@@ -1,0 +1,231 @@
+"""The main job: a bag replayed over DDS into the four nodes, each a process of its own."""
+
+from contextlib import contextmanager
+import os
+import signal
+import subprocess
+import sys
+from typing import NamedTuple
+
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mv_slapse_msgs')
+pytest.importorskip('ffmpeg_image_transport_msgs')
+
+from conftest import DATA, ROOT  # noqa: E402
+from mv_slapse.codec.encoder import write_video  # noqa: E402
+from mv_slapse.config import SceneSettings, Settings  # noqa: E402
+from mv_slapse.evaluation import trajectory as evaluation  # noqa: E402
+from mv_slapse.fields import scene_from_messages, stamp_from_message  # noqa: E402
+from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
+from mv_slapse.records import TrackingStatus  # noqa: E402
+from mv_slapse.simulation.street import Street, StreetSettings  # noqa: E402
+from mv_slapse.simulation.truth import film  # noqa: E402
+from mv_slapse.storage.bag_reader import BagReader  # noqa: E402
+from mv_slapse.storage.camera_info import read_camera, write_camera  # noqa: E402
+from mv_slapse.storage.tum import read_trajectory, Trajectory  # noqa: E402
+from mv_slapse.tools.bag import make_bag  # noqa: E402
+from mv_slapse.tools.run import run  # noqa: E402
+import numpy as np  # noqa: E402
+import rclpy  # noqa: E402
+from scipy.spatial.transform import Rotation  # noqa: E402
+from system.recorder import Recorder  # noqa: E402
+
+CAMERA_HEIGHT = 1.65
+N_FRAMES = 60
+START = 100_000_000_000  # [ns] a robot's clock is not at 0
+TOPICS = {
+    '/correspondences': 'mv_slapse_msgs/msg/Correspondences',
+    '/planes/observations': 'mv_slapse_msgs/msg/PlaneObservations',
+    '/odometry': 'nav_msgs/msg/Odometry',
+    '/pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
+    '/twist': 'geometry_msgs/msg/TwistWithCovarianceStamped',
+    '/path': 'nav_msgs/msg/Path',
+    '/tf': 'tf2_msgs/msg/TFMessage',
+    '/planes/map': 'mv_slapse_msgs/msg/PlaneMap',
+    '/planes/map_markers': 'visualization_msgs/msg/MarkerArray',
+    '/obstacles': 'mv_slapse_msgs/msg/ObstacleArray',
+    '/obstacles/points': 'sensor_msgs/msg/PointCloud2',
+    '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray',
+}
+LATCHED = ('/planes/map', '/planes/map_markers')
+REMAPPED = ('video:=/camera/image/ffmpeg', 'camera_info:=/camera/camera_info')
+FOUR = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker')
+#: who must be connected before the first picture, the recorder included
+READERS = {'/correspondences': 2, '/planes/observations': 3, '/odometry': 2, '/planes/map': 2}
+
+
+class Drive(NamedTuple):
+    """A bag, what the command line makes of it, and the truth."""
+
+    bag: str
+    expected: Trajectory
+    truth: Trajectory
+
+
+@pytest.fixture(scope='module')
+def drive(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('drive')
+    video, camera_file, truth_file = _kitti() if DATA.is_dir() else _rendered(folder)
+    camera, truth = read_camera(camera_file), read_trajectory(truth_file)
+    make_bag(str(video), camera, truth, folder / 'bag', START, N_FRAMES)
+    settings = Settings(scene=SceneSettings(camera_height=CAMERA_HEIGHT))
+    run(str(folder / 'bag'), None, settings, folder / 'run')
+    moved = Trajectory(truth.stamps + START, truth.positions, truth.quaternions)
+    return Drive(str(folder / 'bag'), read_trajectory(folder / 'run' / 'trajectory.tum'), moved)
+
+
+def _kitti():
+    folder = DATA / 'kitti00'
+    return folder / 'mpeg2.mpg', folder / 'camera.yaml', folder / 'ground_truth.tum'
+
+
+def _rendered(folder):
+    street = Street(StreetSettings(n_frames=N_FRAMES))
+    write_camera(folder / 'camera.yaml', street.camera)
+    write_video(folder / 'street.mpg', film(street, folder), street.settings.fps)
+    return folder / 'street.mpg', folder / 'camera.yaml', folder / 'ground_truth.tum'
+
+
+@contextmanager
+def running(names, folder):
+    """Run nodes as processes; they must end with code 0 and without a traceback on SIGINT."""
+    command = [sys.executable, '-m']
+    options = ['--ros-args', '-p', f'scene.camera_height:={CAMERA_HEIGHT}']
+    for pair in REMAPPED:
+        options += ['-r', pair]
+    env = {**os.environ, 'PYTHONPATH': str(ROOT), 'ROS_LOG_DIR': str(folder)}
+    logs = [folder / f'{name}.log' for name in names]
+    nodes = [subprocess.Popen([*command, f'mv_slapse.nodes.{name}', *options], env=env,
+                              cwd=folder, stdout=log.open('wb'), stderr=subprocess.STDOUT)
+             for name, log in zip(names, logs, strict=True)]
+    try:
+        yield
+    finally:
+        for node in nodes:
+            node.send_signal(signal.SIGINT)
+        codes = [node.wait(20) for node in nodes]
+    said = '\n'.join(log.read_text() for log in logs)
+    assert codes == [0] * len(names), said
+    assert 'Traceback' not in said, said
+
+
+def replay(bag, names, readers, folder) -> BagReader:
+    """Play a bag into nodes and return what they published."""
+    rclpy.init()
+    try:
+        with Recorder(folder / 'recorded', TOPICS, LATCHED) as recorder, running(names, folder):
+            node = recorder.node
+            assert recorder.spin(lambda: all(
+                node.count_subscribers(topic) >= n for topic, n in readers.items()), 30)
+            recorder.spin(lambda: False, 0.5)
+            player = subprocess.Popen([sys.executable, ROOT / 'test/system/player.py', bag])
+            assert recorder.spin(lambda: player.poll() is not None, 90)
+            assert player.returncode == 0
+            assert recorder.spin(lambda: recorder.silent_for(3), 60)
+    finally:
+        rclpy.shutdown()
+    return BagReader(folder / 'recorded')
+
+
+@pytest.fixture(scope='module')
+def recorded(drive, ros_domain, tmp_path_factory):
+    return replay(drive.bag, FOUR, READERS, tmp_path_factory.mktemp('four'))
+
+
+@pytest.fixture(scope='module')
+def recorded_in_one(drive, ros_domain, tmp_path_factory):
+    readers = {'/correspondences': 1, '/odometry': 1}
+    return replay(drive.bag, ('all_in_one',), readers, tmp_path_factory.mktemp('one'))
+
+
+def messages(bag: BagReader, topic: str) -> dict:
+    """Return the messages of a topic by stamp."""
+    return {stamp_from_message(msg.header.stamp): msg for _, msg in bag.messages([topic])}
+
+
+def trajectory(bag: BagReader) -> Trajectory:
+    """Return the camera's trajectory in {W} from odometry and map."""
+    odometry, maps = messages(bag, '/odometry'), messages(bag, '/planes/map')
+    scenes = [scene_from_messages(odometry[stamp], maps[stamp], RosFrames())
+              for stamp in sorted(odometry)]
+    return Trajectory(
+        np.array([scene.stamp for scene in scenes], np.int64),
+        np.array([scene.t_world_from_cam for scene in scenes]),
+        Rotation.from_matrix([scene.R_world_from_cam for scene in scenes]).as_quat())
+
+
+def assert_same_trajectory(found: Trajectory, expected: Trajectory):
+    """Compare with the command line's, which also has the first key frame and the end."""
+    assert found.stamps[0] == expected.stamps[1]
+    assert len(found) >= len(expected) - 3
+    expected_at = dict(zip(expected.stamps.tolist(), range(len(expected)), strict=True))
+    rows = [expected_at[stamp] for stamp in found.stamps.tolist()]
+    assert rows == list(range(1, len(rows) + 1))
+    np.testing.assert_allclose(found.positions, expected.positions[rows], atol=1e-6)
+    turn = (Rotation.from_quat(found.quaternions)
+            * Rotation.from_quat(expected.quaternions[rows]).inv()).magnitude()
+    assert turn.max() < 1e-6
+
+
+def test_the_four_nodes_give_the_trajectory_of_the_command_line(drive, recorded):
+    assert_same_trajectory(trajectory(recorded), drive.expected)
+
+
+def test_all_in_one_gives_the_same_trajectory(drive, recorded_in_one):
+    assert_same_trajectory(trajectory(recorded_in_one), drive.expected)
+
+
+def test_the_recorded_odometry_is_near_the_truth(drive, recorded):
+    found = evaluation.figures(evaluation.evaluate(trajectory(recorded), drive.truth))
+    expected = evaluation.figures(evaluation.evaluate(drive.expected, drive.truth))
+    assert found['ate_mean_percent'] < 3.0
+    assert found['ate_mean_percent'] == pytest.approx(expected['ate_mean_percent'], rel=0.2)
+
+
+def test_no_message_is_lost_between_the_nodes(recorded):
+    pairs = messages(recorded, '/correspondences')
+    stamps = sorted(pairs)
+    assert [stamp_from_message(pairs[s].previous_stamp) for s in stamps[1:]] == stamps[:-1]
+    for topic in ('/planes/observations', '/planes/map', '/obstacles', '/obstacles/points'):
+        assert sorted(messages(recorded, topic)) == stamps, topic
+    with_pose = [s for s, m in messages(recorded, '/planes/map').items()
+                 if m.tracking in (TrackingStatus.OK, TrackingStatus.PREDICTED)]
+    for topic in ('/odometry', '/pose', '/twist'):
+        assert sorted(messages(recorded, topic)) == sorted(with_pose), topic
+
+
+def test_the_transform_comes_before_the_odometry_of_its_stamp(recorded):
+    pytest.importorskip('tf2_msgs')
+    known = set()
+    for raw, msg in recorded.messages(['/tf', '/odometry']):
+        if raw.topic == '/tf':
+            transform = msg.transforms[0]
+            known.add(stamp_from_message(transform.header.stamp))
+            assert (transform.header.frame_id, transform.child_frame_id) == ('odom', 'base_link')
+        else:
+            assert stamp_from_message(msg.header.stamp) in known
+
+
+def test_covariances_are_sound(recorded):
+    for msg in messages(recorded, '/odometry').values():
+        for covariance in (msg.pose.covariance, msg.twist.covariance):
+            values = np.linalg.eigvalsh(np.reshape(covariance, (6, 6)))
+            assert values.min() > 0
+            assert values.max() < 1e7
+
+
+def test_odometry_points_forward_and_up(drive, recorded):
+    found = list(messages(recorded, '/odometry').values())
+    end = found[-1].pose.pose.position
+    assert end.x > 0.9 * np.linalg.norm([end.x, end.y, end.z])
+    speed = found[len(found) // 2].twist.twist.linear
+    assert speed.x > 2.0
+    assert abs(speed.z) < 0.3 * speed.x
+
+
+def test_every_node_reports_its_state(recorded):
+    names = {status.name for _, msg in recorded.messages(['/diagnostics'])
+             for status in msg.status}
+    assert names == set(FOUR)
