@@ -62,6 +62,7 @@ class Drive:
     scale_sigma: float = 0.02
     hidden: dict = field(default_factory=dict)
     label: Label = Label.MOVING
+    ground_known = True
 
     def pose(self, time):
         """Return R_world_from_cam and t_world_from_cam; {W} is the camera at time 0."""
@@ -110,7 +111,7 @@ class Drive:
         R, t = self.motion(before, now)
         baseline = np.linalg.norm(t)
         unit = baseline if baseline > 1e-9 else 1.0
-        ground = np.array([0, -1, 0]) / CAMERA_HEIGHT * unit
+        ground = np.array([0, -1, 0]) / CAMERA_HEIGHT * unit if self.ground_known else None
         planes, columns = [], []
         for mover in self.movers:
             if mover.id in self.hidden and self.hidden[mover.id](now):

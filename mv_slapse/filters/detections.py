@@ -92,8 +92,9 @@ def detections(extraction: Extraction, view: View, settings: ObstacleSettings) -
         scale = np.repeat([1 / view.unit, view.unit], 3)
         found.append(_detection(plane.id, scale * np.r_[plane.plane, plane.t_d],
                                 plane.covariance * np.outer(scale, scale), x, block,
-                                plane.scale_prior, view, settings))
-    found = [_on_ground(item, view) for item in found if item is not None]
+                                plane.scale_prior, view))
+    found = [_on_ground(_blurred(item, view, settings), view) for item in found
+             if item is not None]
     return sorted(found, key=lambda item: (-len(item.x), item.id))
 
 
@@ -114,7 +115,7 @@ def from_handover(handover: PlaneHandover, extraction: Extraction, view: View,
     t_d = by_state[3:, 3:] @ handover.velocity
     return _detection(handover.id, np.r_[plane, t_d],
                       by_state @ handover.covariance @ by_state.T, x, block,
-                      ScalePrior.GROUND_CONTACT, view, settings)
+                      ScalePrior.GROUND_CONTACT, view)
 
 
 def _blocks(extraction, plane_id):
@@ -134,7 +135,7 @@ def _blocks(extraction, plane_id):
     return x[largest], block[largest]
 
 
-def _detection(id_, state, covariance, x, block, prior, view, settings):
+def _detection(id_, state, covariance, x, block, prior, view):
     """Return the Detection of (plane, t_d) in the camera [map unit], None if behind it."""
     box = box_of(x, block)
     centre = to_rays(view.K, (box[:2] + box[2:] / 2)[None])[0, :2]
@@ -144,7 +145,6 @@ def _detection(id_, state, covariance, x, block, prior, view, settings):
     if np.any(np.abs(theta[moving_plane.SLOPE]) > om.SLOPE_LIMIT):
         return None
     covariance = jacobian @ covariance @ jacobian.T
-    covariance[:3, :3] += _shared_error(centre, box, view, settings)
     order = [5, 0, 1, 2, 3, 4]
     scale = np.r_[1.0, np.full(3, 1 / view.dt), 1.0, 1.0]
     R = np.zeros((om.SIZE, om.SIZE))
@@ -166,17 +166,20 @@ def _edge(contact, variance):
                 contact.sigma / max(float(np.sqrt(variance)), 1e-6))
 
 
-def _shared_error(centre, box, view, settings):
-    """Covariance (3, 3) of the rate by what all vectors of a region have in common.
+def _blurred(detection, view, settings):
+    """Add what all vectors of a region have in common to the covariance of the rate.
 
-    A bias of the encoder, larger on the growth of a small region, and the camera's rotation.
+    A bias of the encoder, which weighs more on the growth of a small region, and the error of
+    the camera's rotation.
     """
-    focal = np.diag(view.K)[:2]
-    bias = settings.vector_bias / focal
-    growth = settings.vector_bias / max(0.5 * float(np.min(box[2:])), CELL / 2)
-    x, y = centre
+    bias = settings.vector_bias / np.diag(view.K)[:2]
+    growth = settings.vector_bias / max(0.5 * float(np.min(detection.box[2:])), CELL / 2)
+    x, y = detection.z[om.BEARING]
     turn = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x], [0.0, 0.0, 0.0]])
-    return np.diag(np.r_[bias**2, growth**2]) + turn @ view.rotation_covariance @ turn.T
+    shared = np.diag(np.r_[bias**2, growth**2]) + turn @ view.rotation_covariance @ turn.T
+    R = detection.R.copy()
+    R[om.RATE, om.RATE] += shared / view.dt**2
+    return replace(detection, R=R)
 
 
 def _on_ground(detection, view):

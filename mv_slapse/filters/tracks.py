@@ -16,7 +16,7 @@ from scipy.stats import chi2
 UNSCALED_ACCELERATION = 0.1  # [1/s] of the speed, per unit of the setting
 KEPT_EVIDENCE = 2.0  # [s]
 DRIFT_GAIN = 0.3
-UNREST_RANGE = (0.3, 2.0)  # of the acceleration, calm and in a manoeuvre
+UNREST_RANGE = (0.3, 3.0)  # of the acceleration, calm and in a manoeuvre
 EDGE_SHARE = 0.3  # [1/sqrt(s)]
 BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
 
