@@ -11,7 +11,7 @@ import numpy as np
 SIZE = 1024   # of a tile [texel]
 TILE_SIZE = {  # side of one tile [m]; 1: the tile covers the quad
     'asphalt': 10.0, 'paving': 8.0, 'paint': 4.0, 'patch': 3.0, 'brick': 8.0, 'plaster': 9.0,
-    'windows': 14.0, 'shops': 16.0, 'panels': 12.0, 'tower': 24.0, 'sky': 15000.0,
+    'windows': 14.0, 'shops': 16.0, 'panels': 12.0, 'tower': 24.0, 'sky': 40000 / 3,
     'car_end': 1.0, 'car_side': 1.0, 'car_top': 1.0}
 NAMES = tuple(TILE_SIZE)
 FACADES = ('brick', 'plaster', 'windows', 'shops', 'panels')
