@@ -47,13 +47,19 @@ def open_input(name: str, topic: str | None = None) -> Iterator[VideoInput]:
     UnusableInput, UsageError
         Where there is no such input, or no video in it.
     """
-    if '://' not in name and is_bag(name):
+    if is_from_bag(name, topic):
         yield _open_bag(name, topic)
         return
-    if topic is not None:
-        raise UsageError(f'--topic {topic} names a topic, but {name} is not a bag')
     with open_source(name) as source:
         yield VideoInput(source.packets(), (source.width, source.height), source.n_frames)
+
+
+def is_from_bag(name: str, topic: str | None = None) -> bool:
+    """Return whether an input is a bag; UsageError where a topic is named in something else."""
+    found = '://' not in name and is_bag(name)
+    if topic is not None and not found:
+        raise UsageError(f'--topic {topic} names a topic, but {name} is not a bag')
+    return found
 
 
 def coded(items: Iterator[Packet | Picture]) -> Iterator[Packet]:

@@ -1,0 +1,76 @@
+"""``mv_slapse inspect``: what a video offers, and whether that is enough."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from itertools import islice
+from typing import Any
+
+from mv_slapse.codec.packet import Packet
+from mv_slapse.codec.probe import probe, UNUSABLE
+from mv_slapse.codec.source import open_source
+from mv_slapse.errors import UnusableInput
+from mv_slapse.tools.inputs import is_from_bag, open_input
+
+LABELS = {'codec': 'codec', 'size': 'picture [px]', 'fps': 'rate [1/s]', 'n_frames': 'frames read',
+          'references': 'reference frames', 'b_frames': 'B frames in a row',
+          'gop': 'frames between I frames', 'vectors_per_frame': 'vectors a frame',
+          'share_with_vectors': 'P and B frames with vectors', 'interlaced': 'interlaced'}
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """A bag's video, as ``probe`` wants it."""
+
+    codec: str
+    width: int
+    height: int
+    fps: float
+    coded: list[Packet]
+
+    def packets(self) -> Iterator[Packet]:
+        return iter(self.coded)
+
+
+def inspect(name: str, topic: str | None = None, max_frames: int = 300) -> dict[str, Any]:
+    """Return the findings about a video file, a URL or the video topic of a bag.
+
+    Raises
+    ------
+    UnusableInput, UsageError
+        Where there is no such input, or no video with motion vectors in it.
+    """
+    if not is_from_bag(name, topic):
+        with open_source(name) as source:
+            return {'input': name, **asdict(probe(source, max_frames))}
+    with open_input(name, topic) as source:
+        packets = list(islice(source.packets, max_frames))
+        if not packets:
+            raise UnusableInput(f'{name}: the video topic has no messages')
+        size = (source.camera.width, source.camera.height) if source.camera else (0, 0)
+        stream = _Stream(packets[0].codec, *size, _rate(packets), packets)
+        return {'input': name, **asdict(probe(stream, max_frames))}
+
+
+def is_usable(report: dict[str, Any]) -> bool:
+    """Return whether a run on this video makes sense."""
+    return report['verdict'] != UNUSABLE
+
+
+def text(report: dict[str, Any]) -> str:
+    """Return findings as lines: facts, verdict, reasons and what to do."""
+    shown = {**report, 'size': f'{report["width"]}x{report["height"]}',
+             'fps': f'{report["fps"]:g}' if report['fps'] else 'not told',
+             'vectors_per_frame': f'{report["vectors_per_frame"]:.0f}',
+             'share_with_vectors': f'{100 * report["share_with_vectors"]:.0f} %',
+             'interlaced': 'yes' if report['interlaced'] else 'no'}
+    width = max(map(len, LABELS.values()))
+    facts = [f'{label:{width}}  {shown[name]}' for name, label in LABELS.items()]
+    findings = [line for reason, advice in zip(report['reasons'], report['advice'], strict=True)
+                for line in (f'  because: {reason}', f'  do this: {advice}')]
+    return '\n'.join([report['input'], *facts, f'verdict: {report["verdict"]}', *findings])
+
+
+def _rate(packets: list[Packet]) -> float:
+    stamps = [packet.stamp for packet in packets]
+    span = max(stamps) - min(stamps)
+    return (len(stamps) - 1) * 1e9 / span if span else 0.0
