@@ -59,6 +59,12 @@ class DecoderSettings(Checked):
     split_flow: float = setting(
         16.0, 'px', 'median motion of a segment beyond which its middle B frame is a pose of its '
         'own; 0: always', 0.0)
+    bridge_intra: bool = setting(
+        True, '-', 'search the macroblocks of an I frame that no vector joins to the past')
+    bridge_variance: float = setting(
+        1.0, '-', 'variance of a match so found, in units of a motion vector', 0.01, 100.0)
+    bridge_minimum: int = setting(
+        100, '-', 'fewest matches that bridge an I frame; below, the pair is broken', 1)
     min_parallax: float = setting(
         4.0, 'px', 'median parallax after removing rotation at which a pair is long enough; '
         'shorter ones are chained', 0.0)

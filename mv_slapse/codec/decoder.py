@@ -1,9 +1,12 @@
 """Packets in, correspondences out: the decoder as one object with one verb."""
 
+from dataclasses import replace
+
+from mv_slapse.codec.bridging import can_bridge, search
 from mv_slapse.codec.chaining import Chainer
 from mv_slapse.codec.evidence import halves
 from mv_slapse.codec.frames import FrameDecoder
-from mv_slapse.codec.merging import merge
+from mv_slapse.codec.merging import average, merge
 from mv_slapse.codec.motion_vectors import FrameVectors
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.prior import MotionPrior
@@ -21,7 +24,7 @@ class CorrespondenceDecoder:
         """Hold the settings; the first packet opens the codec."""
         self._settings = settings
         self._chainer = Chainer(settings, camera)
-        self._frames = FrameDecoder(with_luma=False)
+        self._frames = FrameDecoder(with_luma=settings.bridge_intra)
         self._segments = SegmentBuilder()
         self._expect = MotionPrior()
 
@@ -44,7 +47,7 @@ class CorrespondenceDecoder:
     def _pairs(self, segment: Segment) -> list[Correspondences]:
         """Merge a segment, in two parts where its motion is too long for direct vectors."""
         if segment.kind is SegmentKind.BROKEN:
-            return [_broken(segment)]
+            return [self._bridged(segment)]
         whole = self._merged(segment)
         flow = np.hypot(*(whole.x_prev - whole.x_cur).T)
         if not segment.between or len(flow) and np.median(flow) < self._settings.split_flow:
@@ -54,6 +57,14 @@ class CorrespondenceDecoder:
         for pair in pairs:
             self._expect.add(pair)
         return pairs
+
+    def _bridged(self, segment: Segment) -> Correspondences:
+        """Search an I frame's macroblocks in the picture before it, or call the pair broken."""
+        if not self._settings.bridge_intra or not can_bridge(segment):
+            return _broken(segment)
+        found = search(segment, self._expect, self._settings)
+        pair = average(replace(segment, kind=SegmentKind.PP), found, self._settings)
+        return pair if len(pair) >= self._settings.bridge_minimum else _broken(segment)
 
     def _merged(self, segment: Segment) -> Correspondences:
         return merge(segment, self._settings, self._expect)

@@ -72,8 +72,12 @@ def merge(segment: Segment, settings: DecoderSettings,
     expect : MotionPrior, optional
         What the pairs before let expect.
     """
+    return average(segment, collect(segment, settings, expect), settings)
+
+
+def average(segment: Segment, evidence: Evidence, settings: DecoderSettings) -> Correspondences:
+    """Return one correspondence for each macroblock on which the given evidence agrees."""
     frame = segment.current
-    evidence = collect(segment, settings, expect)
     x, vector, variance = consensus(evidence, frame.width, frame.height, settings)
     chance = existence(segment.kind, len(segment.between), settings.match_probability)
     return Correspondences(
@@ -147,7 +151,7 @@ def _slots(evidence: Evidence, shape: tuple[int, int], settings: DecoderSettings
 
     area = evidence.block.astype(np.float32).prod(axis=1) / MACROBLOCK ** 2
     heavy = np.float32(sqrt(2) if settings.paper_weights else 2)
-    weight = np.where(evidence.variance == 1, heavy, 1) * area
+    weight = np.where(evidence.variance < 2, heavy, 1) * area
     return _Slots(packed(evidence.x_cur), packed(evidence.vector, ABSENT), packed(weight),
                   packed(evidence.variance / area))
 

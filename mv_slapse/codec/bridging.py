@@ -1,0 +1,66 @@
+"""A search of macroblocks across an I frame that no vector joins to the past.
+
+Streams without B frames have a dead segment at every I frame. Decoding gives the pictures for
+free, so the macroblocks of the I frame are looked for in the picture before it, which takes the
+place of the vectors that the encoder did not send.
+"""
+
+import cv2
+from mv_slapse.codec.evidence import Evidence
+from mv_slapse.codec.prior import at, MotionPrior
+from mv_slapse.codec.segments import Segment
+from mv_slapse.config import DecoderSettings
+from mv_slapse.records import FrameType
+import numpy as np
+
+MACROBLOCK = 16  # px
+RETURN = 0.5  # px, how near the search back must end to where the search began
+LEVELS = 3
+FLAT = 1e-4  # smallest eigenvalue of a macroblock that has texture in two directions
+
+
+def can_bridge(segment: Segment) -> bool:
+    """Return whether both pictures are there and only the vectors are missing."""
+    return (segment.current.frame_type is FrameType.I and segment.previous.luma is not None
+            and segment.current.luma is not None and not segment.current.damage
+            and segment.previous.luma.shape == segment.current.luma.shape)
+
+
+def search(segment: Segment, expect: MotionPrior, settings: DecoderSettings) -> Evidence:
+    """Return the macroblocks of key frame k found in key frame k-1, as direct evidence.
+
+    Lucas-Kanade steps from the expected motion, there and back.
+
+    Parameters
+    ----------
+    segment : Segment
+        One that `can_bridge`.
+    expect : MotionPrior
+        Where the search starts.
+    settings : DecoderSettings
+    """
+    current, previous = segment.current.luma, segment.previous.luma
+    x = _centres(segment.current.width, segment.current.height)
+    seconds = (segment.current.stamp - segment.previous.stamp) * 1e-9
+    field = expect.field(seconds, x[:0], x[:0])
+    start = x if field is None else x + at(field, x)
+    there, found = _follow(current, previous, x, start)
+    back, returned = _follow(previous, current, there, x)
+    inside = ((there >= 0) & (there < (segment.current.width, segment.current.height))).all(axis=1)
+    good = found & returned & inside & (np.abs(back - x).max(axis=1) < RETURN)
+    n = np.count_nonzero(good)
+    return Evidence(x[good], (there - x)[good],
+                    np.full(n, settings.bridge_variance, np.float32),
+                    np.full((n, 2), MACROBLOCK, np.uint8))
+
+
+def _centres(width: int, height: int) -> np.ndarray:
+    grid = np.mgrid[0:height // MACROBLOCK, 0:width // MACROBLOCK][::-1].reshape(2, -1).T
+    return (MACROBLOCK * grid + (MACROBLOCK - 1) / 2).astype(np.float32)
+
+
+def _follow(a: np.ndarray, b: np.ndarray, x: np.ndarray, start: np.ndarray):
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        a, b, x[:, None], start[:, None].copy(), winSize=(MACROBLOCK + 1, MACROBLOCK + 1),
+        maxLevel=LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=FLAT)
+    return there[:, 0], found[:, 0] > 0

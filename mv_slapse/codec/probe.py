@@ -1,0 +1,118 @@
+"""What a video offers: its coding, its vectors, and whether they can be used."""
+
+from dataclasses import dataclass
+from itertools import islice
+
+from mv_slapse.codec.frames import FrameDecoder
+from mv_slapse.codec.motion_vectors import FrameVectors
+from mv_slapse.codec.source import Source
+from mv_slapse.records import FrameType
+
+MIN_VECTORS = 100  # per picture, below which no plane can be found
+USABLE, WITH_CARE, UNUSABLE = 'usable', 'usable with care', 'unusable'
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Findings about a video.
+
+    Attributes
+    ----------
+    codec : str
+        FFmpeg's name of the decoder.
+    width, height, fps : int, int, float
+        Picture size [px] and rate [1/s], 0 where the container does not tell it.
+    n_frames : int
+        Pictures read.
+    references : int
+        Most pictures that a direction may mean, as the slices use them.
+    b_frames : int
+        Most B frames between two key frames.
+    gop : int
+        Longest distance of two I frames; the pictures read where there is but one.
+    vectors_per_frame : float
+        Mean over the P and B frames.
+    share_with_vectors : float
+        Share of P and B frames that have any.
+    interlaced : bool
+        Whether fields may be coded.
+    verdict : str
+        USABLE, WITH_CARE or UNUSABLE.
+    reasons, advice : tuple of str
+        Why not simply usable, and what to do about it.
+    """
+
+    codec: str
+    width: int
+    height: int
+    fps: float
+    n_frames: int
+    references: int
+    b_frames: int
+    gop: int
+    vectors_per_frame: float
+    share_with_vectors: float
+    interlaced: bool
+    verdict: str
+    reasons: tuple[str, ...]
+    advice: tuple[str, ...]
+
+
+def probe(source: Source, max_frames: int = 300) -> Probe:
+    """Decode the first pictures of a source and say what they are good for."""
+    decoder = FrameDecoder(with_luma=False)
+    frames = [frame for packet in islice(source.packets(), max_frames)
+              for frame in decoder.feed(packet)] + decoder.flush()
+    coded = [len(frame) for frame in frames if frame.frame_type is not FrameType.I]
+    vectors = sum(coded) / max(len(coded), 1)
+    share = sum(n > 0 for n in coded) / max(len(coded), 1)
+    runs = _runs(frames)
+    references = max((frame.references for frame in frames), default=1)
+    findings = _findings(frames, vectors, references, runs, decoder.interlaced)
+    verdict = UNUSABLE if any(item[0] for item in findings) else (
+        WITH_CARE if findings else USABLE)
+    return Probe(source.codec, source.width, source.height, source.fps, len(frames),
+                 max(references, 1), max(runs, default=0), _gop(frames), vectors, share,
+                 decoder.interlaced, verdict, tuple(item[1] for item in findings),
+                 tuple(item[2] for item in findings))
+
+
+def _runs(frames: list[FrameVectors]) -> list[int]:
+    """Return the number of B frames before each key frame."""
+    runs, count = [], 0
+    for frame in frames:
+        if frame.frame_type is FrameType.B:
+            count += 1
+        else:
+            runs.append(count)
+            count = 0
+    return runs
+
+
+def _gop(frames: list[FrameVectors]) -> int:
+    at = [i for i, frame in enumerate(frames) if frame.frame_type is FrameType.I]
+    return max((b - a for a, b in zip(at, at[1:], strict=False)), default=len(frames))
+
+
+def _findings(frames: list[FrameVectors], vectors: float, references: int, runs: list[int],
+              interlaced: bool) -> list[tuple[bool, str, str]]:
+    """Return what is wrong: whether it forbids use, why, and what to do."""
+    damaged = sum(bool(frame.damage) for frame in frames)
+    intra = bool(frames) and all(frame.frame_type is FrameType.I for frame in frames)
+    few = bool(frames) and not intra and vectors < MIN_VECTORS
+    no_b_and_i_frames = not any(runs) and sum(f.frame_type is FrameType.I for f in frames) > 1
+    return [finding for applies, *finding in (
+        (not frames, True, 'no picture could be decoded', 'check that the file is complete'),
+        (intra, True, 'all pictures are I frames, which have no motion vectors',
+         're-encode with P frames, for instance: ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 '
+         'OUTPUT.mp4'),
+        (few, True, f'{vectors:.0f} motion vectors a picture are too few to find planes',
+         'use a larger picture or a higher bit rate'),
+        (interlaced, True, 'the video is interlaced: its vectors join fields',
+         'deinterlace it: ffmpeg -i INPUT -vf bwdif -c:v libx264 -refs 1 -bf 0 OUTPUT.mp4'),
+        (references > 1, False, f'vectors may point to any of {references} pictures, which FFmpeg '
+         'does not tell apart; doubtful ones are dropped', 'encode with one reference: -refs 1'),
+        (no_b_and_i_frames, False, 'no vector joins an I frame to the past; that gap is bridged '
+         'from the pictures or predicted', 'encode with fewer I frames (-g 300) or with B frames'),
+        (damaged, False, f'{damaged} pictures are damaged or follow a lost one',
+         'use a reliable transport (rtsp_transport tcp, reliable QoS)')) if applies]
