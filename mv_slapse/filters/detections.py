@@ -80,6 +80,11 @@ def box_of(x: np.ndarray, block: np.ndarray) -> np.ndarray:
     return np.r_[low, high - low]
 
 
+def is_cut(box: np.ndarray, view: View) -> np.ndarray:
+    """Return whether the picture's edge cuts a box (4,) off across and down, (2,) bool."""
+    return (box[:2] < CELL / 2) | (box[:2] + box[2:] > view.size - CELL / 2)
+
+
 def detections(extraction: Extraction, view: View, settings: ObstacleSettings) -> list[Detection]:
     """Return the moving planes of an extraction, largest first."""
     found = []
@@ -150,8 +155,7 @@ def _detection(id_, state, covariance, x, block, prior, view):
     R = np.zeros((om.SIZE, om.SIZE))
     R[2:, 2:] = covariance[np.ix_(order, order)] * np.outer(scale, scale)
     focal = np.diag(view.K)[:2]
-    cut = (box[:2] < CELL / 2) | (box[:2] + box[2:] > view.size - CELL / 2)
-    share = np.where(cut, CUT_SHARE, OUTLINE_SHARE)
+    share = np.where(is_cut(box, view), CUT_SHARE, OUTLINE_SHARE)
     R[om.BEARING, om.BEARING] = np.diag(
         (np.max(block, axis=0)**2 / 12 + (share * box[2:])**2) / focal**2)
     contact = moving_plane.contact(x, block)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import association, ekf
 from mv_slapse.filters import obstacle_motion as om
-from mv_slapse.filters.detections import box_of, Detection, Edge
+from mv_slapse.filters.detections import box_of, Detection, Edge, is_cut
 from mv_slapse.filters.management import Evidence, within
 from mv_slapse.filters.view import View
 from mv_slapse.geometry.camera import to_rays
@@ -18,6 +18,7 @@ KEPT_EVIDENCE = 2.0  # [s]
 DRIFT_GAIN = 0.3
 UNREST_RANGE = (0.3, 3.0)  # of the acceleration, calm and in a manoeuvre
 EDGE_SHARE = 0.3  # [1/sqrt(s)]
+POINT_SHARE, PART_SHARE = 0.1, 0.5  # of an obstacle's size; the latter at the picture's edge
 BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
 
 
@@ -170,6 +171,9 @@ class Track:
     def obstacle(self, stamp: int, view: View) -> Obstacle:
         """Return the record of this track at a key frame."""
         motion = self.motion(view)
+        which_point = self._point_sigma(view)**2
+        motion.covariance[:3, :3] += which_point * np.eye(3)
+        motion.covariance[3:, 3:] += which_point * np.outer(self.mu[om.RATE], self.mu[om.RATE])
         turn = np.kron(np.eye(2), view.R_world_from_cam)
         seen = self.last_seen == stamp
         state = ObstacleState.TENTATIVE if not self.confirmed else (
@@ -180,6 +184,15 @@ class Track:
             turn @ motion.covariance @ turn.T, *self.time_to_contact(), self.box(view),
             self._outline(view), len(self.x), 1e-9 * (stamp - self.first_seen), self.last_seen,
             self.scale_prior)
+
+    def _point_sigma(self, view):
+        """Return how far the middle of what is seen is from the middle of the surface [unit].
+
+        A vehicle shows some of its side as well, and the picture's edge may cut it off.
+        """
+        box = box_of(self.x, self.block)
+        share = PART_SHARE if np.any(is_cut(box, view)) else POINT_SHARE
+        return share * np.max(box[2:] / np.diag(view.K)[:2]) * np.exp(self.mu[2])
 
     def handover(self, stamp: int, view: View) -> PlaneHandover:
         """Return the hand-over of this plane to the scene filter."""
