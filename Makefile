@@ -50,9 +50,8 @@ test: setup ## run all tests, real ROS nodes included
 lint: setup ## check style
 	@$(RUN) ruff check .
 
-build: setup ## colcon build and colcon test in a temporary workspace, plain and with --symlink-install
+build: setup ## colcon build (also --symlink-install), start every node, colcon test, in a temporary workspace
 	@sh .setup/workspace.sh
-	@sh .setup/workspace.sh --symlink-install
 
 bench: setup ## measure the speed of each stage
 	@set -e; $(RUN) for script in benchmarks/*.py; do \

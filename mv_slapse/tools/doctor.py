@@ -119,11 +119,12 @@ def measure_shift() -> tuple[float, int]:
     import numpy as np
     scene = np.random.default_rng(0).integers(0, 256, (12, 20)).astype(np.uint8)
     scene = np.kron(scene, np.ones((8, 8), np.uint8))
-    images = [scene[:, SHIFT * i:SHIFT * i + 128] for i in range(8)]
+    images = [scene[:, SHIFT * i:SHIFT * i + 128] for i in range(9)]
     decoder = CorrespondenceDecoder(DecoderSettings())
-    packets = encode(images, 10.0, Encoding(b_frames=1, gop=8))
+    packets = encode(images, 1.0, Encoding(b_frames=1, gop=12))
     pairs = [pair for packet in packets for pair in decoder.feed(packet)] + decoder.flush()
-    per_frame = [(pair.x_prev - pair.x_cur)[:, 0] / (pair.n_b + 1) for pair in pairs]
+    per_frame = [(pair.x_prev - pair.x_cur)[:, 0] / (pair.stamp - pair.previous_stamp) * 1e9
+                 for pair in pairs]
     vectors = np.concatenate(per_frame) if per_frame else np.zeros(0)
     if not len(vectors):
         raise UnusableInput('the decoder exports no motion vectors')
