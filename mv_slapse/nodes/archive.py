@@ -4,11 +4,11 @@ from array import array
 import os
 from pathlib import Path
 
+from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.nodes.settings import SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
-from mv_slapse.records import SceneEstimate
+from mv_slapse.records import MapPlane, SceneEstimate
 from mv_slapse.storage import tum
-from mv_slapse.storage.results import MapArchive, WITH_POSE, write_json
 import numpy as np
 from std_srvs.srv import Trigger
 
@@ -25,12 +25,14 @@ class Archive:
 
     def restart(self):
         """Forget everything."""
-        self._map = MapArchive()
+        self._scene: SceneEstimate | None = None
+        self._planes: dict[int, MapPlane] = {}
         self._stamps, self._poses = array('q'), array('d')
 
     def add(self, scene: SceneEstimate, previous_stamp: int):
         """Take the estimate of a key frame; the first pair also gives the first key frame."""
-        self._map.add(scene)
+        self._scene = scene
+        self._planes.update((plane.id, plane) for plane in scene.planes)
         if scene.status not in WITH_POSE:
             return
         if not self._stamps:
@@ -42,11 +44,15 @@ class Archive:
         self._poses.extend([*R.ravel(), *t])
 
     def _on_save_map(self, _request, response):
-        return self._save(response, 'map.json', lambda path: write_json(
-            path, self._map.content()))
+        return self._save(response, 'map.json', self._write_map)
 
     def _on_save_trajectory(self, _request, response):
         return self._save(response, 'trajectory.tum', self._write_trajectory)
+
+    def _write_map(self, path: Path):
+        # here, so that a robot without the libraries for bags can run the node
+        from mv_slapse.storage.results import map_content, write_json
+        write_json(path, map_content(self._scene, self._planes.values()))
 
     def _write_trajectory(self, path: Path):
         poses = np.reshape(self._poses, (-1, 12))
@@ -60,10 +66,10 @@ class Archive:
             self._folder.mkdir(parents=True, exist_ok=True)
             write(path)
             response.success, response.message = True, str(path)
-        except OSError as error:
+        except (OSError, ImportError) as error:
             response.success = False
-            response.message = (f'{path} cannot be written: {error.strerror}; start the node '
-                                'with another output_directory')
+            response.message = (f'{path} cannot be written: {error}; start the node with '
+                                'another output_directory')
         return response
 
 

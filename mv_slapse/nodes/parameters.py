@@ -67,6 +67,5 @@ def _declare(node: Node, name: str, item: dataclasses.Field) -> Any:
         raise UsageError(f'parameter {name} has the wrong type, it needs a '
                          f'{type(item.default).__name__} such as {default!r}: {error}') from None
     except InvalidParameterValueException as error:
-        raise UsageError(f'parameter {name} is out of bounds [{item.metadata["low"]}, '
-                         f'{item.metadata["high"]}] ({item.metadata["doc"]}): {error}') from None
+        raise UsageError(f'parameter {name}, {item.metadata["doc"]}: {error}') from None
     return tuple(value) if isinstance(item.default, tuple) else value

@@ -11,10 +11,10 @@ from mv_slapse.nodes import markers
 from mv_slapse.nodes.conversions import bounded_covariance, stamp_to_msg, to_message
 from mv_slapse.nodes.extrinsics import tf_message_type
 from mv_slapse.nodes.qos import LATCHED, RELIABLE
+from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.nodes.settings import FrameSettings, SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import ScaleStatus, SceneEstimate, TrackingStatus
-from mv_slapse.storage.results import WITH_POSE
 from mv_slapse_msgs.msg import PlaneMap
 from nav_msgs.msg import Odometry, Path
 from visualization_msgs.msg import MarkerArray

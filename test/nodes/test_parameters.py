@@ -46,8 +46,8 @@ def test_given_values_reach_the_settings(bench):
 
 
 @pytest.mark.parametrize(('name', 'value', 'said'), [
-    ('gain', 2.5, r'part\.gain is out of bounds \[0\.5, 2\.0\].*a length'),
-    ('number', 0, r'part\.number is out of bounds'),
+    ('gain', 2.5, r'part\.gain, \[m\] a length.*Min: 0\.5, Max: 2\.0, value: 2\.5'),
+    ('number', 0, r'part\.number, .*Min: 1'),
     ('gain', 'much', r'part\.gain has the wrong type.*float such as 1\.5'),
     ('gain', 1, r'part\.gain has the wrong type'),
     ('pose', 'here', r'part\.pose has the wrong type')])

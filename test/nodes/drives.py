@@ -1,0 +1,48 @@
+"""Correspondences of a drive through a drawn street, and what comes of them."""
+
+from functools import cache
+
+from mv_slapse.config import SceneSettings, Settings
+from mv_slapse.pipeline import Slapse
+from mv_slapse.records import Correspondences, SegmentKind
+from mv_slapse.simulation.drawn import draw_pair
+from mv_slapse.simulation.street import Street, StreetSettings
+import numpy as np
+from sensor_msgs.msg import CameraInfo
+
+STEP = 4  # frames between key frames
+HEIGHT = 1.65  # [m] of the camera
+
+
+@cache
+def street() -> Street:
+    return Street(StreetSettings(n_frames=80, width=320, height=240, focal=250.0))
+
+
+@cache
+def pairs(n: int) -> list:
+    """Return the pairs of the first n + 1 key frames."""
+    rng = np.random.default_rng(0)
+    return [draw_pair(street(), STEP * i, STEP * (i + 1), rng) for i in range(n)]
+
+
+@cache
+def steps(n: int) -> list:
+    """Return what the pipeline makes of the pairs."""
+    slapse = Slapse(camera(), Settings(scene=SceneSettings(camera_height=HEIGHT)))
+    return [slapse.step(pair) for pair in pairs(n)]
+
+
+def camera():
+    return street().camera
+
+
+def broken() -> Correspondences:
+    return Correspondences(900_000_000, 800_000_000, camera().width, camera().height,
+                           SegmentKind.BROKEN, reason='a packet was lost')
+
+
+def camera_info() -> CameraInfo:
+    made = camera()
+    return CameraInfo(width=made.width, height=made.height, distortion_model=made.lens,
+                      d=made.distortion.tolist(), k=made.K.ravel())

@@ -1,0 +1,95 @@
+"""Nodes as processes: how they start, what they say when they cannot, and how they end."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mv_slapse_msgs')
+
+from conftest import ROOT  # noqa: E402
+from mv_slapse.codec.encoder import write_video  # noqa: E402
+from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402
+from mv_slapse.storage.camera_info import write_camera  # noqa: E402
+from mv_slapse_msgs.msg import Correspondences  # noqa: E402
+from nodes import clips, fake_launch  # noqa: E402
+
+NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker', 'all_in_one')
+
+
+def start(name, *arguments):
+    return subprocess.Popen(
+        [sys.executable, '-m', f'mv_slapse.nodes.{name}', '--ros-args', *arguments],
+        env={**os.environ, 'PYTHONPATH': str(ROOT)}, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+
+
+def names_of(peer):
+    return set(peer.get_node_names())
+
+
+def stop(processes, number):
+    for process in processes:
+        process.send_signal(number)
+    for process in processes:
+        said, _ = process.communicate(timeout=20)
+        assert process.returncode == 0, said
+        assert 'Traceback' not in said, said
+
+
+def test_all_nodes_take_their_parameter_files_and_end_cleanly_on_sigint(bench):
+    processes = [start(name, '--params-file', str(ROOT / 'config' / f'{name}.yaml'))
+                 for name in NODES]
+    assert bench.spin(lambda: set(NODES) <= names_of(bench.peer), 60)
+    time.sleep(0.3)
+    stop(processes, signal.SIGINT)
+
+
+def test_a_node_ends_cleanly_on_sigterm(bench):
+    process = start('slam')
+    assert bench.spin(lambda: 'slam' in names_of(bench.peer), 30)
+    stop([process], signal.SIGTERM)
+
+
+def test_a_parameter_out_of_bounds_ends_the_node_with_code_2_and_its_bounds(ros_domain):
+    process = start('slam', '-p', 'scene.camera_height:=-1.0')
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert 'scene.camera_height' in said
+    assert 'Min: 0.0' in said
+    assert 'Traceback' not in said
+
+
+def test_what_the_launch_file_starts_runs(bench, tmp_path):
+    write_video(tmp_path / 'clip.mp4', clips.pictures(), clips.FPS)
+    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    received = bench.listen(Correspondences, '/robot/correspondences')
+    started = fake_launch.resolve(
+        ROOT / 'mv_slapse' / 'launch' / 'mv_slapse.launch.py', input=str(tmp_path / 'clip.mp4'),
+        camera_info_url=str(tmp_path / 'camera.yaml'), namespace='robot')
+    processes = [subprocess.Popen(s.cmd, text=True, stdout=subprocess.PIPE,
+                                  stderr=subprocess.STDOUT) for s in started]
+    try:
+        assert bench.spin(lambda: received, 60)
+    finally:
+        stop(processes, signal.SIGINT)
+
+
+def test_a_source_that_is_not_there_ends_the_node_with_code_3(ros_domain):
+    process = start('decoder', '-p', 'source:=/missing/film.mp4')
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode == 3
+    assert '/missing/film.mp4' in said
+    assert 'Traceback' not in said
+
+
+def test_a_parameter_file_that_is_not_there_ends_the_node_with_code_2(ros_domain):
+    process = start('slam', '--params-file', '/missing.yaml')
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert '/missing.yaml' in said
+    assert 'Traceback' not in said

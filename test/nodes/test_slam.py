@@ -1,0 +1,182 @@
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mv_slapse_msgs')
+
+from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStamped  # noqa: E402
+import made_up  # noqa: E402
+from mv_slapse import fields  # noqa: E402
+from mv_slapse.geometry.ros_frames import R_BODY_FROM_OPTICAL, RosFrames  # noqa: E402
+from mv_slapse.nodes.conversions import to_message  # noqa: E402
+from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
+from mv_slapse.nodes.shell import Shell  # noqa: E402
+from mv_slapse.nodes.slam import SlamNode  # noqa: E402
+from mv_slapse.records import MapPlane, TrackingStatus  # noqa: E402
+from mv_slapse_msgs.msg import PlaneMap, PlaneObservations  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
+from nav_msgs.msg import Path as PathMsg
+from nodes import drives  # noqa: E402
+from nodes.bench import LATCHED, messages_of  # noqa: E402
+import numpy as np  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
+
+N = 4
+PARAMETERS = {'scene__camera_height': drives.HEIGHT, 'tf_wait': 0.0}
+
+
+class Output(Shell):
+    def __init__(self, **kwargs):
+        super().__init__('slam', **kwargs)
+        self.output = SceneOutput(self)
+
+
+def feed(bench, n=N):
+    publisher = bench.advertise(PlaneObservations, 'planes/observations')
+    for step in drives.steps(n):
+        publisher.publish(to_message(PlaneObservations, fields.extraction_to_fields(
+            step.extraction, RosFrames(camera='cam'))))
+    return publisher
+
+
+def position(msg):
+    p = msg.pose.pose.position
+    return np.array([p.x, p.y, p.z])
+
+
+def expected_positions(n=N):
+    """Return where the base is in odom: x forward is z of {W}, y left is -x, z up is -y."""
+    return np.array([[t[2], -t[0], -t[1]] for t in (
+        step.scene.t_world_from_cam for step in drives.steps(n))])
+
+
+def test_observations_give_the_poses_and_the_map_of_the_filter(bench):
+    odometry = bench.listen(Odometry, 'odometry')
+    poses = bench.listen(PoseWithCovarianceStamped, 'pose')
+    twists = bench.listen(TwistWithCovarianceStamped, 'twist')
+    maps = bench.listen(PlaneMap, 'planes/map', LATCHED)
+    bench.start(SlamNode, **PARAMETERS)
+    feed(bench)
+    assert bench.spin(lambda: len(odometry) == N and len(maps) == N and len(twists) == N, 30)
+    np.testing.assert_allclose([position(m) for m in odometry], expected_positions(), atol=1e-9)
+    assert [m.pose for m in poses] == [m.pose for m in odometry]
+    assert odometry[0].header.frame_id == maps[0].header.frame_id == 'odom'
+    assert odometry[0].child_frame_id == twists[0].header.frame_id == 'base_link'
+    scene = drives.steps(N)[-1].scene
+    assert [p.id for p in maps[-1].planes] == [p.id for p in scene.planes]
+    velocity = odometry[-1].twist.twist.linear
+    forward = scene.R_world_from_cam.T @ scene.velocity_world
+    assert velocity.x == pytest.approx(forward[2])
+
+
+def test_the_transform_is_the_pose(bench):
+    tf2_msgs = pytest.importorskip('tf2_msgs.msg')
+    transforms = bench.listen(tf2_msgs.TFMessage, '/tf')
+    odometry = bench.listen(Odometry, 'odometry')
+    bench.start(SlamNode, odom_frame='o', base_frame='b', **PARAMETERS)
+    feed(bench)
+    assert bench.spin(lambda: len(odometry) == N and len(transforms) == N, 30)
+    for msg, pose in zip(transforms, odometry, strict=True):
+        transform = msg.transforms[0]
+        assert transform.header == pose.header
+        assert (transform.header.frame_id, transform.child_frame_id) == ('o', 'b')
+        t = transform.transform.translation
+        np.testing.assert_array_equal([t.x, t.y, t.z], position(pose))
+        assert transform.transform.rotation == pose.pose.pose.orientation
+
+
+def test_the_pose_is_that_of_the_base_where_the_camera_has_a_place_on_it(bench):
+    odometry = bench.listen(Odometry, 'odometry')
+    place = [1.0, 0.0, 1.6, -0.5, 0.5, -0.5, 0.5]
+    bench.start(SlamNode, base_from_camera=place, **PARAMETERS)
+    feed(bench)
+    assert bench.spin(lambda: len(odometry) == N, 30)
+    scene = drives.steps(N)[-1].scene
+    R = R_BODY_FROM_OPTICAL @ scene.R_world_from_cam @ R_BODY_FROM_OPTICAL.T
+    camera_in_odom = position(odometry[-1]) + R @ place[:3]
+    np.testing.assert_allclose(camera_in_odom, expected_positions()[-1] + place[:3], atol=1e-9)
+
+
+def test_trajectory_and_map_are_saved_where_the_parameter_says(bench, tmp_path):
+    odometry = bench.listen(Odometry, 'odometry')
+    bench.start(SlamNode, output_directory=str(tmp_path / 'saved'), **PARAMETERS)
+    feed(bench)
+    assert bench.spin(lambda: len(odometry) == N, 30)
+    response = bench.call(Trigger, '/slam/save_trajectory')
+    assert response.success
+    rows = np.loadtxt(Path(response.message))
+    np.testing.assert_allclose(rows[0], [0, 0, 0, 0, 0, 0, 0, 1])
+    np.testing.assert_allclose(rows[1:, 1:4], [step.scene.t_world_from_cam
+                                               for step in drives.steps(N)], atol=1e-8)
+    assert bench.call(Trigger, '/slam/save_map').success
+    assert (tmp_path / 'saved' / 'map.json').read_text().startswith('{')
+
+
+def test_a_folder_that_cannot_be_written_is_said(bench, tmp_path):
+    (tmp_path / 'file').write_text('')
+    bench.start(SlamNode, output_directory=str(tmp_path / 'file'), **PARAMETERS)
+    response = bench.call(Trigger, '/slam/save_map')
+    assert not response.success
+    assert 'output_directory' in response.message
+
+
+def test_reset_begins_a_new_trajectory(bench):
+    odometry = bench.listen(Odometry, 'odometry')
+    bench.start(SlamNode, **PARAMETERS)
+    feed(bench)
+    assert bench.spin(lambda: len(odometry) == N, 30)
+    assert bench.call(Trigger, '/slam/reset').success
+    feed(bench)
+    assert bench.spin(lambda: len(odometry) == 2 * N, 30)
+    np.testing.assert_allclose(position(odometry[-1]), position(odometry[N - 1]), atol=1e-9)
+
+
+def test_a_bag_played_again_begins_a_new_trajectory(bench):
+    odometry = bench.listen(Odometry, 'odometry')
+    bench.start(SlamNode, **PARAMETERS)
+    feed(bench)
+    feed(bench)
+    assert bench.spin(lambda: len(odometry) == 2 * N, 30)
+    np.testing.assert_allclose(position(odometry[-1]), position(odometry[N - 1]), atol=1e-9)
+
+
+@pytest.mark.parametrize('status', [TrackingStatus.LOST, TrackingStatus.INITIALISING])
+def test_without_a_pose_only_the_map_goes_out_and_says_why(bench, status):
+    odometry, maps = bench.listen(Odometry, 'odometry'), bench.listen(PlaneMap, 'planes/map')
+    node = bench.start(Output)
+    assert bench.spin(lambda: bench.peer.count_publishers('/odometry'))
+    bench.spin(lambda: False, 0.3)
+    scene = made_up.scene(np.random.default_rng(0), status=status)
+    node.output.publish(scene, RosFrames())
+    assert bench.spin(lambda: maps)
+    bench.spin(lambda: False, 0.2)
+    assert odometry == []
+    assert (maps[0].tracking, maps[0].reason) == (status, 'why')
+    assert f'{status.name.lower()}: why' in messages_of(node)
+    assert (node.health.status().level == b'\x02') == (status == TrackingStatus.LOST)
+
+
+def test_the_path_is_bounded(bench):
+    paths = bench.listen(PathMsg, 'path')
+    bench.start(SlamNode, path_length=3, path_period=0.0, **PARAMETERS)
+    feed(bench)
+    assert bench.spin(lambda: len(paths) == N, 30)
+    assert [len(path.poses) for path in paths] == [1, 2, 3, 3]
+
+
+def test_markers_of_planes_that_left_the_map_are_deleted(bench):
+    arrays = bench.listen(MarkerArray, 'planes/map_markers', LATCHED)
+    node = bench.start(Output)
+    scene = made_up.scene(np.random.default_rng(0))
+    node.output.publish(scene, RosFrames())
+    assert bench.spin(lambda: len(arrays) == 1)
+    shown = arrays[0].markers[0]
+    assert (shown.ns, shown.id, shown.action) == ('planes', 7, Marker.ADD)
+    assert len(shown.points) == 6  # an outline of four corners is two triangles
+    other = MapPlane(**{**vars(scene.planes[0]), 'id': 8})
+    node.output.publish(type(scene)(**{**vars(scene), 'planes': (other,)}), RosFrames())
+    assert bench.spin(lambda: len(arrays) == 2)
+    assert [(m.id, m.action) for m in arrays[1].markers] == [(8, Marker.ADD), (7, Marker.DELETE)]
+    assert all(m.pose.orientation.w == 1.0 for array in arrays for m in array.markers)
