@@ -39,8 +39,10 @@ class Mover:
         return np.array([v[0], 0.0, v[1]])
 
     def base(self, time):
-        steps = max(int(round(time / 0.01)), 0)
+        steps = max(int(round(time / 0.01)), 0) if callable(self.velocity) else 0
         path = sum((self.speed(0.01 * (i + 0.5)) for i in range(steps)), np.zeros(3)) * 0.01
+        if not callable(self.velocity):
+            path = time * self.speed(time)
         return np.array([self.start[0], CAMERA_HEIGHT, self.start[1]]) + path
 
     def centre(self, time):

@@ -8,7 +8,6 @@ from mv_slapse.filters import obstacle_motion as om
 from mv_slapse.filters.detections import CELL, Detection
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.stats import chi2
 
 FORBIDDEN = 1e6
 OVERLAP_COST = 10.0  # of no overlap at all, against a squared distance
@@ -72,7 +71,7 @@ def associate(tracks: Sequence, detections: Sequence[Detection],
 def _cost(track, detection, gate):
     distance, dof = squared_distance(track.mu, track.P, detection)
     shared = overlap(track.x, detection.x)
-    limit = chi2.ppf(gate, dof)
+    limit = ekf.chi2_bound(gate, dof)
     if shared < MIN_OVERLAP or distance > limit * (RESCUE if shared > 0.5 else 1.0):
         return FORBIDDEN
     return distance + OVERLAP_COST * (1 - shared) + OTHER_ID_COST * (
@@ -124,7 +123,7 @@ def _share_motion(one, other, gate):
     a, b = one.z[om.RATE], other.z[om.RATE]
     ratio = np.clip(a @ b / max(b @ b, 1e-12), *DEPTH_RATIO)
     S = one.R[om.RATE, om.RATE] + ratio**2 * other.R[om.RATE, om.RATE]
-    return ekf.squared_distance(a - ratio * b, S) < chi2.ppf(gate, 3)
+    return ekf.squared_distance(a - ratio * b, S) < ekf.chi2_bound(gate, 3)
 
 
 def _joined(group):

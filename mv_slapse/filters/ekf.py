@@ -7,6 +7,7 @@ noise Q and R, innovation z - h(mu).
 from collections.abc import Hashable
 
 import numpy as np
+from scipy.special import gammaincinv
 
 
 class State:
@@ -98,6 +99,11 @@ def update_information(state: State, information: np.ndarray, vector: np.ndarray
 def squared_distance(innovation: np.ndarray, S: np.ndarray) -> float:
     """Return the squared Mahalanobis distance of an innovation with covariance S."""
     return float(innovation @ np.linalg.solve(S, innovation))
+
+
+def chi2_bound(confidence: float, dof: int) -> float:
+    """Return what a squared distance of ``dof`` dimensions stays below at a confidence."""
+    return float(2 * gammaincinv(dof / 2, confidence))
 
 
 def _symmetric(P: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from mv_slapse.config import ObstacleSettings
-from scipy.stats import chi2
+from mv_slapse.filters import ekf
 
 STILL_CONFIDENCE = 0.99  # "it stands still" is given up beyond this
 CONSISTENT_NIS = 2.5  # mean normalised innovation above which evidence contradicts itself
@@ -44,7 +44,7 @@ def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSe
     them, and detections that move as their vectors say: the outline of wrong vectors stays.
     """
     recent = within(evidence, settings.confirm_window)
-    level = chi2.ppf(settings.moving_confidence, 3)
+    level = ekf.chi2_bound(settings.moving_confidence, 3)
     slowest = settings.min_speed if is_metric else 0.0
     moving = [e for e in recent if e.statistic > level and e.speed >= slowest]
     if len(moving) < settings.confirm_pairs or moving[-1] is not recent[-1]:
@@ -65,7 +65,7 @@ def stands_still(evidence: Sequence[Evidence], settings: ObstacleSettings) -> bo
         return False
     recent = within(evidence, settings.still_time)
     lasted = 1e-9 * (recent[-1].stamp - recent[0].start)
-    level = chi2.ppf(STILL_CONFIDENCE, 3)
+    level = ekf.chi2_bound(STILL_CONFIDENCE, 3)
     return lasted >= settings.still_time - 1e-6 and all(
         e.statistic < level and e.speed < settings.still_speed for e in recent)
 
@@ -96,7 +96,7 @@ def is_inconsistent(nis: Iterable[float], dof: Iterable[int], confidence: float 
         Share of stationary planes that pass.
     """
     total = sum(dof)
-    return total > 0 and sum(nis) > chi2.ppf(confidence, total)
+    return total > 0 and sum(nis) > ekf.chi2_bound(confidence, total)
 
 
 def within(evidence: Sequence[Evidence], seconds: float) -> list[Evidence]:

@@ -11,7 +11,6 @@ from mv_slapse.filters.view import View
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import Extraction, Label, Obstacle, ObstacleState, PlaneHandover, ScalePrior
 import numpy as np
-from scipy.stats import chi2
 
 UNSCALED_ACCELERATION = 0.1  # [1/s] of the speed, per unit of the setting
 KEPT_EVIDENCE = 2.0  # [s]
@@ -96,7 +95,7 @@ class Track:
                settings: ObstacleSettings):
         """Correct the state by a detection, (16), and keep what it says of the motion."""
         distance, dof = association.squared_distance(self.mu, self.P, detection)
-        excess = max(1.0, distance / chi2.ppf(settings.gate, dof))
+        excess = max(1.0, distance / ekf.chi2_bound(settings.gate, dof))
         rate = (detection.z - self.mu)[om.RATE]
         sigma = np.sqrt(np.diag(self.P + detection.R)[om.RATE])
         self.drift = self.drift + DRIFT_GAIN * (rate / sigma - self.drift)

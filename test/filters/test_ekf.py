@@ -3,6 +3,7 @@
 from mv_slapse.filters import ekf
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 
 def random_covariance(rng, n):
@@ -99,3 +100,8 @@ def test_a_derived_block_is_correlated_as_its_samples_are(rng, state):
 
 def test_squared_distance_counts_standard_deviations():
     assert ekf.squared_distance(np.array([3.0, 2.0]), np.diag([9.0, 1.0])) == pytest.approx(5)
+
+
+def test_bound_is_the_quantile_of_chi_square():
+    for dof in (1, 3, 6):
+        assert ekf.chi2_bound(0.999, dof) == pytest.approx(chi2.ppf(0.999, dof))
