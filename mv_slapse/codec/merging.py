@@ -12,6 +12,7 @@ import numpy as np
 
 MACROBLOCK = 16  # px
 DEPTH = 8  # pieces of evidence looked at for each macroblock
+TYPICAL_VOTES = np.float32(5)  # at which a vector is as good as the stream's sigma says
 ABSENT = 1e6  # px, a vector that agrees with none
 AROUND = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
 
@@ -109,10 +110,23 @@ def consensus(evidence: Evidence, width: int, height: int,
     votes = np.stack(_votes([cluster.vector.reshape(*shape, 2) for cluster in clusters],
                             [cluster.mass.reshape(shape) > 0 for cluster in clusters], settings))
     votes = votes.reshape(2, -1) + [np.minimum(cluster.company, 1) for cluster in clusters]
-    best = votes.argmax(axis=0)
     cell = np.flatnonzero(np.maximum(*votes) >= settings.min_support)
-    return tuple(np.stack([getattr(cluster, name) for cluster in clusters])[best[cell], cell]
-                 for name in ('x', 'vector', 'variance'))
+    best = votes.argmax(axis=0)[cell]
+    x, vector, variance, company = (
+        np.stack([getattr(cluster, name) for cluster in clusters])[best, cell]
+        for name in ('x', 'vector', 'variance', 'company'))
+    return x, vector, variance * _doubt(votes[best, cell], company)
+
+
+def _doubt(votes: np.ndarray, company: np.ndarray) -> np.ndarray:
+    """Return how much more (or less) a vector scatters than Lemma 2 says of a right one.
+
+    Lemma 2 takes the used vectors for right and their errors for independent. Measured against
+    true epipolar lines (KITTI and a rendered garage, MPEG-2 and H.264), the standard deviation
+    halves for each three macroblocks around that agree, and falls with the fourth root of the
+    pieces of evidence that agree inside the macroblock, beyond what averaging explains.
+    """
+    return 4 ** ((TYPICAL_VOTES - votes) / 3) / np.sqrt(1 + company)
 
 
 class _Slots(NamedTuple):
