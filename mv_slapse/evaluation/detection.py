@@ -216,7 +216,7 @@ def _found(votes: dict[int, list[tuple[float, float]]]) -> dict[str, Any]:
     found = [mover for mover, shares in large.items()
              if np.mean(np.array(shares) >= 0.5) >= 0.5]
     return {'movers_found': len(found), 'movers_total': len(large),
-            'movers_missed': sorted(set(large) - set(found))}
+            'movers_missed': sorted(int(mover) for mover in set(large) - set(found))}
 
 
 def _labels_at(labels: LabelTable, k: int, x: np.ndarray) -> np.ndarray:

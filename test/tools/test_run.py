@@ -1,0 +1,99 @@
+import json
+
+from mv_slapse.codec.encoder import Encoding, write_video
+from mv_slapse.config import Settings
+from mv_slapse.errors import UnusableInput, UsageError
+from mv_slapse.storage.camera_info import read_camera
+from mv_slapse.storage.tum import read_trajectory
+from mv_slapse.tools import run as tool
+from mv_slapse.tools.run import CpuClock, Summary
+import numpy as np
+import pytest
+
+N_FRAMES = 21
+
+
+@pytest.fixture(scope='module')
+def summary(clip):
+    return json.loads((clip.out / 'summary.json').read_text())
+
+
+def test_the_summary_tells_what_was_done(clip, summary):
+    assert (summary['frames'], summary['input']) == (N_FRAMES, str(clip.video))
+    assert summary['poses'] == len(read_trajectory(clip.out / 'trajectory.tum'))
+    assert summary['poses'] <= summary['key_frames'] <= N_FRAMES
+    assert summary['fps'] == pytest.approx(15)
+    assert summary['settings']['scene']['camera_height'] == 1.65
+    assert summary['scale_status'] in ('metric', 'unknown')
+    assert summary['scale_source']
+    assert sum(summary['statuses'].values()) == summary['key_frames'] - 1
+    assert {'python', 'av', 'numpy'} <= set(summary['versions'])
+
+
+def test_each_stage_has_its_share_of_cpu(summary):
+    seconds = dict(summary['cpu_seconds'])
+    assert seconds.pop('total') == pytest.approx(sum(seconds.values()))
+    assert set(seconds) == {'decode', 'extract', 'filter', 'obstacles', 'write'}
+    assert all(value > 0 for value in seconds.values())
+
+
+def test_a_run_stops_where_it_is_told(clip, tmp_path):
+    seen = []
+    summary = tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path, max_frames=5,
+                       progress=lambda done, total: seen.append((done, total)))
+    assert summary.frames == 5
+    assert [done for done, _ in seen] == [1, 2, 3, 4, 5]
+
+
+def test_two_runs_write_the_same_files(clip, tmp_path):
+    for name in ('a', 'b'):
+        tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path / name, max_frames=9)
+    for name in ('trajectory.tum', 'planes.csv', 'obstacles.csv', 'labels.npz', 'map.json',
+                 'results.mcap'):
+        assert (tmp_path / 'a' / name).read_bytes() == (tmp_path / 'b' / name).read_bytes(), name
+
+
+def test_an_interrupted_run_keeps_what_it_has(clip, tmp_path):
+    def interrupt(done, _):
+        if done == 12:
+            raise KeyboardInterrupt
+
+    summary = tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path,
+                       progress=interrupt)
+    assert summary.interrupted
+    assert json.loads((tmp_path / 'summary.json').read_text())['interrupted']
+    assert len(read_trajectory(tmp_path / 'trajectory.tum')) > 2
+    assert (tmp_path / 'results.mcap').exists()
+
+
+def test_a_video_without_vectors_is_refused(rng, tmp_path):
+    pictures = rng.integers(0, 256, (6, 96, 128), np.uint8)
+    write_video(tmp_path / 'intra.mpg', pictures, 25.0, Encoding(b_frames=0, gop=1))
+    camera_file = tmp_path / 'camera.yaml'
+    camera_file.write_text('image_width: 128\nimage_height: 96\n'
+                           'camera_matrix: [100, 0, 64, 0, 100, 48, 0, 0, 1]\n')
+    with pytest.raises(UnusableInput, match='none of 5 key frame pairs has motion vectors'):
+        tool.run(tmp_path / 'intra.mpg', read_camera(camera_file), Settings(), tmp_path / 'out')
+
+
+def test_a_video_needs_a_calibration(clip, tmp_path):
+    with pytest.raises(UsageError, match='--camera camera.yaml'):
+        tool.run(clip.video, None, Settings(), tmp_path)
+
+
+@pytest.mark.parametrize(('poses', 'lost'), [(4, True), (5, False), (10, False)])
+def test_a_run_is_lost_where_most_key_frames_have_no_pose(poses, lost):
+    assert Summary('a.mp4', key_frames=10, poses=poses).is_lost is lost
+
+
+def test_a_lost_run_says_why():
+    summary = Summary('a.mp4', key_frames=10, reasons={'too few vectors': 7, 'no plane': 1})
+    assert '0 of 10 key frames have a pose (most often: too few vectors)' in (
+        tool.lost_message(summary))
+
+
+def test_the_clock_charges_time_to_the_stage_that_took_it():
+    clock = CpuClock()
+    assert clock.charge(lambda n: sum(range(n)), 'filter')(300_000) > 0
+    assert clock.seconds['filter'] > 0
+    assert clock.seconds['decode'] == 0
