@@ -42,8 +42,8 @@ def test_wrong_vectors_do_not_vote():
 
 def test_the_plane_is_that_of_the_winners():
     x = [[3.5, 3.5], [11.5, 3.5], [3.5, 11.5], [11.5, 11.5]]
-    grid = vote(x, [[8, 8]] * 4, [0, 0, 0, 1], [4, 5, 5, 9])
-    assert (grid.label[0], grid.plane[0]) == (0, 5)
+    grid = vote(x, [[8, 8], [4, 8], [8, 8], [10, 10]], [0, 0, 0, 1], [4, 4, 5, 9])
+    assert (grid.label[0], grid.plane[0]) == (0, 4)
 
 
 def test_blocks_stand_where_the_picture_has_them_not_where_undistorted():

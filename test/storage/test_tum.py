@@ -29,6 +29,12 @@ def test_a_trajectory_comes_back_as_it_was(rng, tmp_path):
     np.testing.assert_array_equal(tum.read_trajectory(path).positions, again.positions)
 
 
+def test_of_the_two_quaternions_of_a_rotation_that_with_positive_w_is_written(rng):
+    for _ in range(20):
+        row = tum.format_row(0, made_up.rotation(rng), np.zeros(3))
+        assert float(row.split()[-1]) >= 0
+
+
 def test_comments_are_skipped_and_rows_sorted(tmp_path):
     path = tmp_path / 'path.tum'
     path.write_text('# stamp tx ty tz qx qy qz qw\n0.2 2 0 0 0 0 0 1\n\n0.1 1 0 0 0 0 0 2\n')

@@ -1,11 +1,12 @@
+import made_up
 from mv_slapse import fields
 from mv_slapse.codec.source import open_source
 from mv_slapse.config import Settings
 from mv_slapse.errors import UnusableInput, UsageError
-from mv_slapse.geometry.ros_frames import Pose, pose_to_world, RosFrames
+from mv_slapse.geometry.ros_frames import points_to_odom, Pose, pose_to_world, RosFrames
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.camera_info import read_camera
-from mv_slapse.storage.tum import read_trajectory
+from mv_slapse.storage.tum import read_trajectory, Trajectory
 from mv_slapse.tools import bag as tool
 from mv_slapse.tools.run import run
 import numpy as np
@@ -69,6 +70,18 @@ def test_true_poses_are_in_odom(clip, bag):
         assert_allclose(back.R, truth.rotations()[k], atol=1e-7)
     assert messages[-1].pose.position.x > 5  # the street is driven forwards
     assert messages[0].header.frame_id == 'odom'
+
+
+def test_the_first_true_pose_is_the_origin_of_odom(clip, rng, tmp_path):
+    truth = read_trajectory(clip.truth / 'ground_truth.tum')
+    R, t = made_up.rotation(rng), rng.normal(size=3)
+    elsewhere = Trajectory(truth.stamps, truth.positions @ R.T + t, (
+        Rotation.from_matrix(R) * Rotation.from_quat(truth.quaternions)).as_quat())
+    tool.make_bag(clip.video, read_camera(clip.camera), elsewhere, tmp_path / 'bag')
+    x = [[(p := msg.pose.position).x, p.y, p.z]
+         for _, msg in BagReader(tmp_path / 'bag').messages([tool.TRUTH_TOPIC])]
+    expected = points_to_odom(truth.positions - truth.positions[0], RosFrames())
+    assert_allclose(x, expected, atol=1e-7)
 
 
 def test_a_run_on_the_bag_equals_the_run_on_the_file(clip, bag, tmp_path):
