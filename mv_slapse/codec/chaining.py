@@ -8,12 +8,14 @@ so on to the anchor, the last key frame that was published (ALGORITHM 2, trap 5)
 from dataclasses import replace
 
 from mv_slapse.config import DecoderSettings
+from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import Camera, to_rays, undistort
 from mv_slapse.records import Correspondences, SegmentKind
 import numpy as np
 
 MACROBLOCK = 16  # px
 SAMPLE = 400  # correspondences that are enough to measure the parallax
+ROUNDS = 4  # of reweighting
 NANOSECONDS = 1e9
 
 
@@ -26,11 +28,13 @@ class Chainer:
         self._camera = camera
         self._chain: Correspondences | None = None
         self._links = 0
+        self._step = 0
 
     def add(self, pair: Correspondences) -> list[Correspondences]:
         """Return what can be published after this pair: contiguous pairs in order of time."""
         if pair.kind is SegmentKind.BROKEN:
             return [*self.flush(), pair]
+        self._step = pair.stamp - pair.previous_stamp
         if self._chain is None:
             self._chain, self._links = pair, 1
         else:
@@ -45,8 +49,8 @@ class Chainer:
 
     def _is_long_enough(self) -> bool:
         pair, settings = self._chain, self._settings
-        age = (pair.stamp - pair.previous_stamp) / NANOSECONDS
-        if age >= settings.max_chain_time or self._links >= settings.max_chain:
+        age_after_next = (pair.stamp - pair.previous_stamp + self._step) / NANOSECONDS
+        if age_after_next > settings.max_chain_time or self._links >= settings.max_chain:
             return True
         flow = pair.x_prev - pair.x_cur
         if len(flow) and np.median(np.hypot(*flow.T)) >= settings.max_chain_flow:
@@ -86,7 +90,7 @@ def _sample(pair: Correspondences, x: np.ndarray, settings: DecoderSettings):
     rows = np.stack([table[near[:, 1] + i, near[:, 0] + j] for i in (0, 1) for j in (0, 1)], 1)
     vector = np.r_[pair.x_prev - pair.x_cur, np.zeros((1, 2), np.float32)][rows]
     away = np.abs(np.r_[pair.x_cur, np.full((1, 2), 1e6, np.float32)][rows] - x[:, None])
-    weight = np.maximum(1 - away / (1.25 * MACROBLOCK), 0).prod(axis=2)
+    weight = np.maximum(1 - away / MACROBLOCK, 0).prod(axis=2)
     lead = vector[np.arange(len(x)), weight.argmax(axis=1)]
     gap = np.hypot(*np.moveaxis(vector - lead[:, None], 2, 0))
     limit = settings.agreement_slack + settings.agreement_tolerance * np.hypot(*lead.T)
@@ -118,25 +122,53 @@ def parallax(pair: Correspondences, camera: Camera | None) -> float:
     if len(pair) < 8:
         return 0.0
     some = slice(None, None, max(len(pair) // SAMPLE, 1))
-    design, motion, focal = _rotation_model(pair.x_cur[some], pair.x_prev[some], camera)
-    weight = np.ones(len(motion))
-    for _ in range(4):
-        root = np.sqrt(weight)
-        fit = np.linalg.lstsq((design * root[:, None, None]).reshape(-1, 3),
-                              (motion * root[:, None]).ravel(), rcond=None)[0]
-        left = np.hypot(*(motion - design @ fit).T) * focal
-        weight = 1 / (1 + left ** 2)
-    return float(np.median(left))
+    x_cur, x_prev = pair.x_cur[some].astype(float), pair.x_prev[some].astype(float)
+    left = _without_shift(x_cur, x_prev) if camera is None else _without_rotation(
+        to_rays(camera.K, undistort(camera, x_cur)), to_rays(camera.K, undistort(camera, x_prev)),
+        camera.K[0, 0])
+    return float(np.median(np.hypot(*left.T)))
 
 
-def _rotation_model(x_cur: np.ndarray, x_prev: np.ndarray, camera: Camera | None):
-    """Return d motion / d rotation (N, 2, 3), the motion (N, 2) and pixels per unit of it."""
-    if camera is None:
-        x, y = (x_cur - x_cur.mean(axis=0)).T.astype(float) / MACROBLOCK
-        one, motion, focal = np.ones_like(x), (x_prev - x_cur).astype(float), 1.0
-        design = [[one, 0 * one, -y], [0 * one, one, x]]
-    else:
-        cur, prev = (to_rays(camera.K, undistort(camera, points)) for points in (x_cur, x_prev))
-        (x, y), motion, focal = cur[:, :2].T, (prev - cur)[:, :2], camera.K[0, 0]
-        design = [[x * y, -(1 + x * x), y], [1 + y * y, -x * y, -x]]
-    return np.moveaxis(np.array(design), 2, 0), motion, focal
+def _without_rotation(cur: np.ndarray, prev: np.ndarray, focal: float) -> np.ndarray:
+    """Return the motion [px] of rays (N, 3) after the rotation that explains most of it."""
+    weight, design = np.ones(len(cur)), _turn_of_camera(cur[:, :2])
+    for _ in range(ROUNDS):
+        prev = prev @ rotation.exp(_fit(design, _gap(cur, prev), weight)).T
+        weight = _trust(focal * _gap(cur, prev))
+    return focal * _gap(cur, prev)
+
+
+def _without_shift(cur: np.ndarray, prev: np.ndarray) -> np.ndarray:
+    """Return the motion [px] of pixels (N, 2) after the shift and turn that explain most."""
+    weight, motion = np.ones(len(cur)), prev - cur
+    design = _turn_of_picture((cur - cur.mean(axis=0)) / MACROBLOCK)
+    for _ in range(ROUNDS):
+        left = motion - design @ _fit(design, motion, weight)
+        weight = _trust(left)
+    return left
+
+
+def _gap(cur: np.ndarray, prev: np.ndarray) -> np.ndarray:
+    return prev[:, :2] / prev[:, 2:] - cur[:, :2]
+
+
+def _trust(left: np.ndarray) -> np.ndarray:
+    """Return Cauchy weights of residuals [px]."""
+    return 1 / (1 + np.hypot(*left.T) ** 2)
+
+
+def _fit(design: np.ndarray, motion: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    normal = np.einsum('nij,n,nik->jk', design, weight, design)
+    return np.linalg.solve(normal, np.einsum('nij,n,ni->j', design, weight, motion))
+
+
+def _turn_of_camera(x: np.ndarray) -> np.ndarray:
+    """Return d motion / d rotation (N, 2, 3) of normalised pixels (N, 2)."""
+    x, y = x.T
+    return np.moveaxis(np.array([[x * y, -(1 + x * x), y], [1 + y * y, -x * y, -x]]), 2, 0)
+
+
+def _turn_of_picture(x: np.ndarray) -> np.ndarray:
+    """Return d motion / d (shift, turn) (N, 2, 3) of pixels about their centre (N, 2)."""
+    one, (x, y) = np.ones(len(x)), x.T
+    return np.moveaxis(np.array([[one, 0 * one, -y], [0 * one, one, x]]), 2, 0)

@@ -1,0 +1,101 @@
+from mv_slapse.codec.evidence import collect, halves
+from mv_slapse.codec.motion_vectors import FrameVectors
+from mv_slapse.codec.prior import MotionPrior
+from mv_slapse.codec.segments import Segment
+from mv_slapse.config import DecoderSettings
+from mv_slapse.records import Correspondences, FrameType, SegmentKind
+import numpy as np
+
+WIDTH, HEIGHT = 160, 128
+SETTINGS = DecoderSettings()
+GRID = 16 * np.mgrid[0:8, 0:10][::-1].reshape(2, -1).T.astype(np.float32) + np.float32(7.5)
+MOTION = np.array([6, -3], np.float32)  # px, from key frame k to k-1
+
+
+def frame(stamp, kind, *vectors, **columns):
+    """A picture whose blocks all have the given (direction, displacement) vectors."""
+    x = np.tile(GRID, (len(vectors), 1))
+    values = {'x': x, 'displacement': np.repeat([v for _, v in vectors], len(GRID), axis=0).astype(
+        np.float32) if vectors else x[:0], 'direction': np.repeat(
+            [d for d, _ in vectors], len(GRID)).astype(np.int8),
+        'block': np.full((len(x), 2), 16, np.uint8)}
+    return FrameVectors(stamp, kind, WIDTH, HEIGHT, **{**values, **columns})
+
+
+def segment(*between, current=None, end=400):
+    current = frame(end, FrameType.P, (-1, MOTION)) if current is None else current
+    kind = SegmentKind.IP if current.frame_type is FrameType.P else SegmentKind.PI
+    return Segment(frame(0, FrameType.I), current, between, kind)
+
+
+def b_frame(stamp, **columns):
+    """A B frame of a uniform motion over 400."""
+    share = stamp / 400
+    return frame(stamp, FrameType.B, (-1, share * MOTION), (1, (share - 1) * MOTION), **columns)
+
+
+def test_direct_evidence_is_the_vectors_of_the_p_frame():
+    evidence = collect(segment(), SETTINGS)
+    np.testing.assert_array_equal(evidence.x_cur, GRID)
+    np.testing.assert_array_equal(evidence.vector, np.tile(MOTION, (len(GRID), 1)))
+    assert (evidence.variance == 1).all()
+
+
+def test_indirect_evidence_joins_both_ends_of_a_b_block():
+    i_frame = frame(400, FrameType.I)
+    evidence = collect(segment(b_frame(100), current=i_frame), SETTINGS)
+    np.testing.assert_allclose(evidence.vector, np.tile(MOTION, (len(GRID), 1)), atol=1e-5)
+    np.testing.assert_allclose(evidence.x_cur, GRID - 0.75 * MOTION, atol=1e-5)
+    assert (evidence.variance == 2).all()
+
+
+def test_a_stale_vector_of_a_list_that_is_not_used_is_no_evidence():
+    middle = b_frame(200)
+    middle.displacement[5] = (40, 0)
+    middle.displacement[len(GRID) + 9] = (0, -30)
+    kept = collect(segment(middle, current=frame(400, FrameType.I)), SETTINGS)
+    expected = np.delete(GRID, [5, 9], axis=0) - 0.5 * MOTION
+    np.testing.assert_allclose(kept.x_cur, expected, atol=1e-5)
+
+
+def test_a_block_with_one_vector_gives_no_indirect_evidence():
+    only_past = frame(200, FrameType.B, (-1, MOTION / 2))
+    assert len(collect(segment(only_past, current=frame(400, FrameType.I)), SETTINGS)) == 0
+
+
+def test_halves_are_the_b_frames_own_vectors():
+    first, second = halves(segment(b_frame(200)), SETTINGS)
+    assert (first.previous.stamp, first.current.stamp) == (0, 200)
+    assert (second.previous.stamp, second.current.stamp) == (200, 400)
+    one, two = collect(first, SETTINGS), collect(second, SETTINGS)
+    np.testing.assert_allclose(one.x_cur, GRID)
+    np.testing.assert_allclose(one.vector, np.tile(MOTION / 2, (len(GRID), 1)))
+    np.testing.assert_allclose(two.x_cur, GRID - MOTION / 2)
+    np.testing.assert_allclose(two.vector, np.tile(MOTION / 2, (len(GRID), 1)))
+
+
+def test_halves_leave_out_blocks_whose_vectors_contradict():
+    middle = b_frame(200)
+    middle.displacement[5] = (40, 0)
+    assert [len(collect(half, SETTINGS)) for half in halves(segment(middle), SETTINGS)] == [79, 79]
+
+
+def expectation(motion):
+    x_prev = GRID + motion
+    prior = MotionPrior()
+    prior.add(Correspondences(0, -400, WIDTH, HEIGHT, SegmentKind.PP, x_cur=GRID, x_prev=x_prev))
+    return prior
+
+
+def test_vectors_to_an_older_reference_are_left_out():
+    motion = np.array([20, 0], np.float32)
+    current = frame(400, FrameType.P, (-1, motion), references=3)
+    current.displacement[::4] *= 2
+    kept = collect(segment(current=current), SETTINGS, expectation(motion))
+    np.testing.assert_array_equal(kept.vector, np.tile(motion, (60, 1)))
+
+
+def test_with_one_reference_no_vector_is_doubted():
+    current = frame(400, FrameType.P, (-1, MOTION))
+    current.displacement[::4] *= 9
+    assert len(collect(segment(current=current), SETTINGS, expectation(MOTION))) == 80

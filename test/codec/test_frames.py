@@ -1,0 +1,92 @@
+from dataclasses import replace
+from itertools import pairwise
+
+from mv_slapse.codec.encoder import encode, Encoding, LOW_LATENCY
+from mv_slapse.codec.frames import FrameDecoder
+from mv_slapse.codec.packet import Packet
+from mv_slapse.errors import UnusableInput
+from mv_slapse.records import FrameType
+import numpy as np
+import pictures
+import pytest
+
+MPEG2 = Encoding('mpeg2video', 3, 12)
+ENCODINGS = [MPEG2, LOW_LATENCY, Encoding('h264', 2, 12)]
+
+
+def decoded(packets, with_luma=False):
+    decoder = FrameDecoder(with_luma)
+    return [frame for packet in packets for frame in decoder.feed(packet)] + decoder.flush()
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_pictures_come_in_order_of_presentation_with_their_stamps(rng, encoding):
+    frames = decoded(encode(pictures.sliding(rng, 14, (2, 1)), 25, encoding))
+    assert [frame.stamp for frame in frames] == [i * 40_000_000 for i in range(14)]
+
+
+def test_stamps_in_the_order_of_decoding_are_put_in_order_of_presentation(rng):
+    packets = encode(pictures.sliding(rng, 14, (2, 1)), 25, Encoding('h264', 2, 12))
+    packets = [replace(packet, stamp=10 * i) for i, packet in enumerate(packets)]
+    assert [frame.stamp for frame in decoded(packets)] == [10 * i for i in range(14)]
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_vectors_are_the_motion_of_the_pictures(rng, encoding):
+    frames = decoded(encode(pictures.sliding(rng, 14, (3, -2)), 25, encoding))
+    for previous, frame in pairwise(frames):
+        if frame.frame_type == FrameType.P and previous.frame_type is not FrameType.B:
+            right = np.abs(frame.displacement - (3, -2)).max(axis=1) < 0.6
+            assert right.mean() > 0.7
+
+
+def test_the_last_picture_of_mpeg_has_its_vectors(rng):
+    last = decoded(encode(pictures.sliding(rng, 9, (2, 1)), 25, MPEG2))[-1]
+    assert last.frame_type is FrameType.P
+    assert len(last) > 100
+
+
+def test_an_empty_packet_is_ignored(rng):
+    packets = list(encode(pictures.sliding(rng, 6, (2, 1)), 25, LOW_LATENCY))
+    packets.insert(3, replace(packets[0], data=b''))
+    assert len(decoded(packets)) == 6
+
+
+def test_a_packet_of_noise_is_damage_and_no_exception(rng):
+    packets = list(encode(pictures.sliding(rng, 8, (2, 1)), 25, LOW_LATENCY))
+    packets[4] = replace(packets[4], data=packets[4].data[:5] + rng.bytes(60))
+    assert any(frame.damage for frame in decoded(packets))
+
+
+def test_a_lost_reference_is_damage_of_the_picture_after_it(rng):
+    packets = list(encode(pictures.sliding(rng, 8, (2, 1)), 25, LOW_LATENCY))
+    frames = decoded(packets[:4] + packets[5:])
+    assert [i for i, frame in enumerate(frames) if 'lost' in frame.damage] == [4]
+
+
+@pytest.mark.parametrize('codec', ['hevc', 'vp9', 'av1', 'mjpeg', ''])
+def test_a_codec_without_vectors_is_refused_with_a_cure(codec):
+    with pytest.raises(UnusableInput, match='ffmpeg -i INPUT'):
+        FrameDecoder(False).feed(Packet(b'\x12\x00', 0, True, codec))
+
+
+def test_a_wrong_name_of_the_codec_is_put_right_by_the_payload(rng):
+    packets = encode(pictures.sliding(rng, 6, (2, 1)), 25, LOW_LATENCY)
+    assert len(decoded(replace(packet, codec='hevc') for packet in packets)) == 6
+
+
+def test_luma_is_the_picture_and_is_kept_of_key_frames_only(rng):
+    images = pictures.sliding(rng, 9, (2, 1))
+    frames = decoded(encode(images, 25, MPEG2), with_luma=True)
+    assert all((frame.luma is None) == (frame.frame_type is FrameType.B) for frame in frames)
+    # Grey is stored in the narrower range of video, 16 to 235.
+    error = frames[4].luma.astype(float) - (16 + images[4] * (219 / 255))
+    assert np.abs(error).mean() < 4
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_two_runs_give_the_same_vectors(rng, encoding):
+    packets = list(encode(pictures.sliding(rng, 8, (2, 1)), 25, encoding))
+    for one, other in zip(decoded(packets), decoded(packets), strict=True):
+        np.testing.assert_array_equal(one.displacement, other.displacement)
+        np.testing.assert_array_equal(one.x, other.x)

@@ -1,0 +1,126 @@
+from itertools import product
+
+from mv_slapse.codec import merging
+from mv_slapse.codec.evidence import Evidence
+from mv_slapse.config import DecoderSettings
+from mv_slapse.records import SegmentKind
+import numpy as np
+import pytest
+
+IP, PP, PI = SegmentKind.IP, SegmentKind.PP, SegmentKind.PI
+SETTINGS = DecoderSettings()
+WIDTH, HEIGHT = 160, 128
+
+
+def outcomes(kind, n_b, p):
+    """Every combination of right and wrong vectors: chance, direct right, indirect right."""
+    n_direct = 0 if kind is PI else 1
+    for bits in product((0, 1), repeat=n_direct + 2 * n_b):
+        chance = np.prod([p if bit else 1 - p for bit in bits])
+        pairs = np.reshape(bits[n_direct:], (n_b, 2)).all(axis=1)
+        yield chance, sum(bits[:n_direct]), int(pairs.sum())
+
+
+@pytest.mark.parametrize('kind', [IP, PP, PI])
+@pytest.mark.parametrize(('n_b', 'p'), [(0, 0.6), (1, 0.3), (3, 0.6), (4, 0.9)])
+def test_lemma_1_is_the_sum_over_all_outcomes(kind, n_b, p):
+    expected = sum(chance for chance, direct, indirect in outcomes(kind, n_b, p)
+                   if direct + indirect)
+    assert merging.existence(kind, n_b, p) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize('kind', [IP, PP, PI])
+@pytest.mark.parametrize('weight', [2 ** 0.5, 2.0])
+def test_lemma_2_is_the_scatter_of_merged_vectors(rng, kind, weight):
+    n_b, p, n = 3, 0.6, 200_000
+    direct = rng.normal(size=n)
+    indirect = rng.normal(size=(n, n_b)) + rng.normal(size=(n, n_b))
+    has_direct = (rng.random(n) < p) & (kind is not PI)
+    is_right = (rng.random((n, n_b, 2)) < p).all(axis=2)
+    whole = weight * has_direct + is_right.sum(axis=1)
+    some = whole > 0
+    merged = (weight * has_direct * direct + (is_right * indirect).sum(axis=1))[some] / whole[some]
+    expected = merging.expected_variance(kind, n_b, p, weight)
+    assert merged.var() == pytest.approx(expected, rel=0.02)
+
+
+def test_inverse_variance_weights_beat_the_papers():
+    assert merging.merged_variance(3, 1, 2.0) < merging.merged_variance(3, 1, 2 ** 0.5)
+    assert merging.merged_variance(3, 1, 2.0) == pytest.approx(1 / (1 + 3 / 2))
+
+
+def lattice(motion, variance=1.0, shift=(0.0, 0.0), size=16):
+    """Evidence in each block, moved by a function of its place, off the centres by a shift."""
+    grid = np.mgrid[0:HEIGHT // size, 0:WIDTH // size][::-1].reshape(2, -1).T
+    x = (size * grid + (size - 1) / 2 + shift).astype(np.float32)
+    return Evidence(x, motion(x).astype(np.float32), np.full(len(x), variance, np.float32),
+                    np.full((len(x), 2), size, np.uint8))
+
+
+def joined(*parts):
+    return Evidence(*(np.concatenate([getattr(part, name) for part in parts])
+                      for name in ('x_cur', 'vector', 'variance', 'block')))
+
+
+def linear(x):
+    return (x - 70) @ np.array([[0.02, 0.005], [-0.01, 0.03]]) + (3, -1)
+
+
+def agreed(evidence, settings=SETTINGS):
+    return merging.consensus(evidence, WIDTH, HEIGHT, settings)
+
+
+def test_a_linear_motion_stays_exact_with_evidence_beside_the_centres():
+    evidence = joined(lattice(linear), lattice(linear, 2.0, (4.0, -3.0)))
+    x, vector, _ = agreed(evidence)
+    assert len(x) == 80
+    np.testing.assert_allclose(vector, linear(x), atol=1e-4)
+
+
+def test_each_macroblock_gives_one_vector_however_it_is_split():
+    x, vector, _ = agreed(lattice(linear, size=8))
+    assert len(x) == 80
+    np.testing.assert_allclose(x[0], (7.5, 7.5), atol=1e-4)
+    np.testing.assert_allclose(vector, linear(x), atol=1e-4)
+
+
+def test_wrong_vectors_are_rejected_and_the_others_stay(rng):
+    evidence = lattice(linear)
+    wrong = rng.random(len(evidence)) < 0.3
+    evidence.vector[wrong] += rng.uniform(8, 30, (np.count_nonzero(wrong), 2))
+    x, vector, _ = agreed(evidence)
+    assert np.abs(vector - linear(x)).max() < 0.01
+    assert len(x) > 0.8 * np.count_nonzero(~wrong)
+
+
+def test_the_cluster_that_neighbours_support_beats_the_heavier_one():
+    evidence = joined(lattice(linear, 2.0), lattice(linear))
+    evidence.vector[80 + 34] += 25  # the direct vector of one macroblock
+    _, vector, _ = agreed(evidence)
+    np.testing.assert_allclose(vector[34], linear(evidence.x_cur[34:35])[0], atol=1e-4)
+
+
+def test_more_evidence_and_more_support_mean_less_variance():
+    _, _, alone = agreed(lattice(linear))
+    _, _, twice = agreed(joined(lattice(linear), lattice(linear, 2.0)))
+    assert (twice < alone).all()
+    assert alone[34] < alone[0]  # inside against in the corner
+
+
+def test_evidence_outside_the_picture_is_left_out():
+    outside = lattice(linear, shift=(-400.0, 0.0))
+    assert len(agreed(joined(lattice(linear), outside))[0]) == 80
+    assert len(agreed(outside)[0]) == 0
+
+
+def test_no_evidence_gives_no_vectors():
+    empty = Evidence(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32),
+                     np.zeros(0, np.float32), np.zeros((0, 2), np.uint8))
+    assert [len(part) for part in agreed(empty)] == [0, 0, 0]
+
+
+@pytest.mark.parametrize(('paper', 'share'), [(True, 2 ** 0.5 / (2 ** 0.5 + 1)), (False, 2 / 3)])
+def test_direct_evidence_weighs_as_the_setting_says(paper, share):
+    direct, indirect = lattice(lambda x: 0 * x), lattice(lambda x: 0 * x + 0.3, 2.0)
+    _, vector, _ = agreed(joined(direct, indirect), DecoderSettings(paper_weights=paper))
+    np.testing.assert_allclose(vector, 0.3 * (1 - share), rtol=1e-4)

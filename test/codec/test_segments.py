@@ -1,0 +1,64 @@
+from mv_slapse.codec.motion_vectors import FrameVectors
+from mv_slapse.codec.segments import SegmentBuilder
+from mv_slapse.records import FrameType, SegmentKind
+import numpy as np
+import pytest
+
+
+def frames(types, **changes):
+    """One picture a second for each letter, with one vector in all but I frames."""
+    made = []
+    for i, letter in enumerate(types):
+        n = 0 if letter == 'I' else 1
+        values = {'stamp': i, 'frame_type': FrameType[letter], 'width': 64, 'height': 48,
+                  'x': np.zeros((n, 2), np.float32), **changes.get(f'at{i}', {})}
+        made.append(FrameVectors(**values))
+    return made
+
+
+def segments(types, **changes):
+    builder = SegmentBuilder()
+    found = [builder.add(frame) for frame in frames(types, **changes)]
+    return [segment for segment in found if segment]
+
+
+@pytest.mark.parametrize(('types', 'kinds'), [
+    ('IPP', 'IP PP'), ('IBBPBBIBP', 'IP PI IP'), ('IPBP', 'IP PP'), ('IBI', 'PI'), ('BBIP', 'IP')])
+def test_kinds_are_those_of_the_key_frames_at_both_ends(types, kinds):
+    assert [SegmentKind[kind] for kind in kinds.split()] == [s.kind for s in segments(types)]
+
+
+def test_a_segment_holds_its_b_frames_in_order():
+    segment, = segments('IBBBP')
+    assert [frame.stamp for frame in segment.between] == [1, 2, 3]
+    assert (segment.previous.stamp, segment.current.stamp) == (0, 4)
+
+
+def test_consecutive_segments_share_a_key_frame():
+    one, two = segments('IBPBP')
+    assert one.current is two.previous
+
+
+def test_an_i_frame_without_b_frames_is_a_dead_segment():
+    segment = segments('IPI')[1]
+    assert segment.kind is SegmentKind.BROKEN
+    assert 'I frame' in segment.reason
+
+
+def test_damage_of_a_b_frame_breaks_only_its_segment():
+    kinds = [segment.kind for segment in segments('IBPBPBP', at3={'damage': 'lost'})]
+    assert kinds == [SegmentKind.IP, SegmentKind.BROKEN, SegmentKind.PP]
+
+
+def test_a_change_of_size_breaks_the_segment_and_names_both():
+    segment = segments('IPP', at2={'width': 32})[1]
+    assert segment.kind is SegmentKind.BROKEN
+    assert '64x48' in segment.reason
+    assert '32x48' in segment.reason
+
+
+@pytest.mark.parametrize('stamp', [1, 0, -5])
+def test_stamps_that_do_not_increase_break_the_segment(stamp):
+    segment = segments('IPP', at2={'stamp': stamp})[1]
+    assert segment.kind is SegmentKind.BROKEN
+    assert 'stamps' in segment.reason
