@@ -20,6 +20,7 @@ from mv_slapse.pipeline import Slapse, Step
 from mv_slapse.records import Correspondences, ObstacleState, ScaleStatus, SegmentKind
 from mv_slapse.storage.results import ResultsWriter, SCHEMA_VERSION, WITH_POSE
 from mv_slapse.tools.inputs import open_input, VideoInput
+import numpy as np
 
 STAGES = ('decode', 'extract', 'filter', 'obstacles', 'write')
 LIBRARIES = ('mv_slapse', 'av', 'numpy', 'scipy', 'opencv-python-headless', 'rosbags')
@@ -198,8 +199,7 @@ class _Session:
     def finish(self) -> dict[str, Any]:
         """Complete the summary and return its content."""
         summary, camera = self.summary, self._camera
-        span = (max(self._stamps) - min(self._stamps)) / 1e9 if self._stamps else 0.0
-        summary.fps = (summary.frames - 1) / span if span > 0 else 0.0
+        summary.fps = _rate(np.sort(self._stamps))
         summary.planes, summary.obstacles_confirmed = len(self._planes), len(self._obstacles)
         for name, counter in self._counts.items():
             setattr(summary, name, dict(counter.most_common()))
@@ -275,6 +275,15 @@ def _checked(summary: Summary) -> Summary:
                             f'vectors ({reason}); re-encode the video with P frames, for instance '
                             'ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 OUTPUT.mp4')
     return summary
+
+
+def _rate(stamps: np.ndarray) -> float:
+    """Return the frame rate [1/s] of sorted stamps [ns], some of which may be missing."""
+    steps = np.diff(stamps)
+    if not np.any(steps > 0):
+        return 0.0
+    span = stamps[-1] - stamps[0]
+    return float(np.round(span / np.median(steps[steps > 0])) / span * 1e9)
 
 
 def _versions() -> dict[str, str]:

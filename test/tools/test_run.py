@@ -45,6 +45,12 @@ def test_a_run_stops_where_it_is_told(clip, tmp_path):
     assert [done for done, _ in seen] == [1, 2, 3, 4, 5]
 
 
+def test_the_rate_is_right_where_the_last_pictures_are_missing(clip, tmp_path):
+    # the packets of a B frame's two neighbours come before it
+    summary = tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path, max_frames=6)
+    assert summary.fps == pytest.approx(15)
+
+
 def test_two_runs_write_the_same_files(clip, tmp_path):
     for name in ('a', 'b'):
         tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path / name, max_frames=9)
