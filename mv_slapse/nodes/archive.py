@@ -51,7 +51,7 @@ class Archive:
 
     def _write_map(self, path: Path):
         # here, so that a robot without the libraries for bags can run the node
-        from mv_slapse.storage.results import map_content, write_json
+        from mv_slapse.storage.archives import map_content, write_json
         write_json(path, map_content(self._scene, self._planes.values()))
 
     def _write_trajectory(self, path: Path):

@@ -53,11 +53,17 @@ def definition_folder() -> Path:
 
 
 def to_message(name: str, values: Fields) -> Any:
-    """Return a message of the type ``name`` with the given fields, nested as they are."""
+    """Return a message of the type ``name`` with the given fields, nested as they are.
+
+    As in ROS, a field that is not given is zero or empty; one that does not exist is a KeyError.
+    """
     store = typestore()
     _, definition = store.fielddefs[name]
-    return store.types[name](**{field: _value(kind, values[field])
-                                for field, kind in definition})
+    unknown = set(values) - {field for field, _ in definition}
+    if unknown:
+        raise KeyError(f'{name} has no field {", ".join(sorted(unknown))}')
+    return store.types[name](**{field: _value(kind, values[field]) if field in values
+                                else _default(kind) for field, kind in definition})
 
 
 def serialize(name: str, values: Fields) -> bytes:
@@ -76,6 +82,18 @@ def _value(kind: tuple, value: Any) -> Any:
         return [to_message(item, entry) for entry in value]
     base = item[0]
     return list(value) if base == 'string' else np.ascontiguousarray(value, base)
+
+
+def _default(kind: tuple) -> Any:
+    node, detail = kind
+    if node == Nodetype.NAME:
+        return to_message(detail, {})
+    if node == Nodetype.BASE:
+        return '' if detail[0] == 'string' else {'bool': False}.get(detail[0], 0)
+    (item_node, item), size = detail
+    count = size if node == Nodetype.ARRAY else 0
+    return _value(kind, [_default((item_node, item))] * count if item_node == Nodetype.BASE
+                  else [{}] * count)
 
 
 def _prefixes() -> Iterator[Path]:

@@ -18,7 +18,9 @@ from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.pipeline import Slapse, Step
 from mv_slapse.records import Correspondences, ObstacleState, ScaleStatus, SegmentKind
-from mv_slapse.storage.results import ResultsWriter, SCHEMA_VERSION, WITH_POSE
+from mv_slapse.storage.archives import SCHEMA_VERSION
+from mv_slapse.storage.message_log import WITH_POSE
+from mv_slapse.storage.results import ResultsWriter
 from mv_slapse.tools.inputs import open_input, VideoInput
 import numpy as np
 

@@ -39,6 +39,18 @@ def test_a_pose_survives_serialisation(rng):
     np.testing.assert_allclose(again.planes[0].outline, scene.planes[0].outline, atol=1e-12)
 
 
+def test_a_field_that_is_not_given_is_zero_or_empty():
+    msg = through_cdr('visualization_msgs/msg/Marker', {'id': 3})
+    assert (msg.id, msg.ns, msg.type, msg.frame_locked, list(msg.points)) == (3, '', 0, False, [])
+    odometry = through_cdr('nav_msgs/msg/Odometry', {})
+    np.testing.assert_array_equal(odometry.pose.covariance, np.zeros(36))
+
+
+def test_a_field_that_does_not_exist_is_refused():
+    with pytest.raises(KeyError, match='Vector3 has no field w'):
+        messages.to_message('geometry_msgs/msg/Vector3', {'x': 1.0, 'w': 1.0})
+
+
 def test_every_message_of_the_package_is_known():
     names = {path.stem for path in messages.definition_folder().glob('*.msg')}
     assert {'Correspondences', 'PlaneObservations', 'PlaneMap', 'ObstacleArray',

@@ -107,8 +107,8 @@ def test_a_map_of_unknown_scale_says_so(tmp_path, rng):
 def test_the_bag_holds_what_the_nodes_publish(out, steps):
     reader = BagReader(out / 'results.mcap')
     assert {'/correspondences', '/planes/observations', '/planes/map', '/planes/handover',
-            '/obstacles', '/odometry', '/pose', '/twist', '/tf', '/tf_static'} == set(
-                reader.topics)
+            '/obstacles', '/odometry', '/pose', '/twist', '/path', '/tf', '/tf_static',
+            '/planes/map_markers', '/obstacles/markers'} == set(reader.topics)
     messages = {topic: [msg for _, msg in reader.messages([topic])] for topic in reader.topics}
     assert (len(messages['/odometry']), len(messages['/planes/map'])) == (2, 4)
     scene = fields.scene_from_messages(messages['/odometry'][0], messages['/planes/map'][1],
@@ -123,6 +123,23 @@ def test_the_transform_comes_before_what_needs_it(out):
     reader = BagReader(out / 'results.mcap')
     order = [raw.topic for raw, _ in reader.messages(['/tf', '/odometry'])]
     assert order == ['/tf', '/odometry'] * 2
+
+
+def test_a_path_is_written_now_and_then_and_is_whole(tmp_path, rng):
+    with ResultsWriter(tmp_path) as writer:
+        for k in range(25):
+            writer.write(made_up_step(rng, k))
+    paths = [msg for _, msg in BagReader(tmp_path / 'results.mcap').messages(['/path'])]
+    assert [len(path.poses) for path in paths] == [1, 11, 21]
+    assert paths[2].header.frame_id == 'odom'
+
+
+def test_files_of_an_earlier_run_go_when_a_new_one_starts(out, steps):
+    writer = ResultsWriter(out)
+    writer.write(steps[1])
+    assert not {'labels.npz', 'map.json', 'results.mcap', 'summary.json'} & {
+        path.name for path in out.iterdir()}
+    writer.close()
 
 
 def test_an_interrupted_run_leaves_valid_files(tmp_path, steps):

@@ -1,0 +1,88 @@
+"""What the nodes would publish in a run, as one MCAP file."""
+
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+from mv_slapse import fields, view_fields
+from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.records import (
+    Correspondences,
+    Extraction,
+    Obstacle,
+    PlaneHandover,
+    SceneEstimate,
+    TrackingStatus,
+)
+from mv_slapse.storage.bag_writer import McapFile
+
+WITH_POSE = (TrackingStatus.OK, TrackingStatus.PREDICTED)
+MARKERS = 'visualization_msgs/msg/MarkerArray'
+PATH_LENGTH = 1000  # poses of a path
+PATH_PERIOD = 1_000_000_000  # [ns] between two paths: their cost grows with their length
+
+
+class Step(Protocol):
+    """What the pipeline returns for a key frame pair."""
+
+    correspondences: Correspondences
+    extraction: Extraction
+    scene: SceneEstimate
+    obstacles: Sequence[Obstacle]
+    handovers: Sequence[PlaneHandover]
+
+
+class MessageLog:
+    """The messages that the nodes would publish, in one MCAP file."""
+
+    def __init__(self, path: Path, frames: RosFrames):
+        """Make the file."""
+        self._bag, self._frames = McapFile(path), frames
+        self._planes = view_fields.MarkerBoard(frames.odom)
+        self._obstacles = view_fields.MarkerBoard(frames.odom)
+        self._poses: deque[fields.Fields] = deque(maxlen=PATH_LENGTH)
+        self._path_due = 0
+
+    def close(self):
+        """Complete the file."""
+        self._bag.close()
+
+    def write(self, step: Step):
+        """Write the messages of a key frame pair, the transform before what needs it."""
+        scene, frames, stamp, put = step.scene, self._frames, step.scene.stamp, self._bag.write
+        if scene.status in WITH_POSE:
+            self._write_pose(scene)
+        put('/correspondences', 'mv_slapse_msgs/msg/Correspondences',
+            fields.correspondences_to_fields(step.correspondences, frames), stamp)
+        put('/planes/observations', 'mv_slapse_msgs/msg/PlaneObservations',
+            fields.extraction_to_fields(step.extraction, frames), stamp)
+        put('/planes/map', 'mv_slapse_msgs/msg/PlaneMap',
+            fields.plane_map_to_fields(scene, frames), stamp, True)
+        put('/obstacles', 'mv_slapse_msgs/msg/ObstacleArray',
+            fields.obstacles_to_fields(stamp, step.obstacles, scene.scale_status, frames), stamp)
+        for handover in step.handovers:
+            put('/planes/handover', 'mv_slapse_msgs/msg/PlaneHandover',
+                fields.handover_to_fields(handover, frames), stamp)
+        planes = view_fields.plane_markers(scene, frames)
+        put('/planes/map_markers', MARKERS, self._planes.show(stamp, planes), stamp, True)
+        obstacles = view_fields.obstacle_markers(step.obstacles, frames)
+        put('/obstacles/markers', MARKERS, self._obstacles.show(stamp, obstacles), stamp)
+
+    def _write_pose(self, scene: SceneEstimate):
+        frames, put, stamp = self._frames, self._bag.write, scene.stamp
+        if not self._poses:
+            camera = fields.camera_transform_to_fields(stamp, frames)
+            put('/tf_static', 'tf2_msgs/msg/TFMessage', {'transforms': [camera]}, stamp, True)
+        put('/tf', 'tf2_msgs/msg/TFMessage',
+            {'transforms': [fields.transform_to_fields(scene, frames)]}, stamp)
+        put('/odometry', 'nav_msgs/msg/Odometry', fields.odometry_to_fields(scene, frames), stamp)
+        put('/pose', 'geometry_msgs/msg/PoseWithCovarianceStamped',
+            fields.pose_to_fields(scene, frames), stamp)
+        put('/twist', 'geometry_msgs/msg/TwistWithCovarianceStamped',
+            fields.twist_to_fields(scene, frames), stamp)
+        self._poses.append(fields.pose_stamped_to_fields(scene, frames))
+        if stamp >= self._path_due:
+            self._path_due = stamp + PATH_PERIOD
+            put('/path', 'nav_msgs/msg/Path',
+                view_fields.path_to_fields(stamp, self._poses, frames), stamp)
