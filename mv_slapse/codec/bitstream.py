@@ -7,6 +7,7 @@ Only start codes, sequence parameter sets and the first bits of slice headers ar
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+START = b'\x00\x00\x01'
 NAL_SLICE, NAL_IDR, NAL_SPS, NAL_PPS = 1, 5, 7, 8
 HIGH_PROFILES = (100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135)
 
@@ -108,19 +109,25 @@ class BitReader:
         return (k + 1) // 2 if k % 2 else -(k // 2)
 
 
-def nal_units(data: bytes) -> Iterator[bytes]:
-    """Yield the H.264 units of a packet, Annex B or length-prefixed (AVCC)."""
-    if data[:3] == b'\x00\x00\x01' or data[:4] == b'\x00\x00\x00\x01':
-        yield from (unit.rstrip(b'\x00') for unit in data.split(b'\x00\x00\x01') if unit.strip(
-            b'\x00'))
-        return
-    at = 0
+def nal_units(data: bytes) -> list[bytes]:
+    """Return the H.264 units of a packet, Annex B or length-prefixed (AVCC)."""
+    prefixed = _length_prefixed(data)
+    if prefixed or START not in data[:4]:
+        return prefixed
+    return [unit.rstrip(b'\x00') for unit in data.split(START) if unit.strip(b'\x00')]
+
+
+def _length_prefixed(data: bytes) -> list[bytes]:
+    """Return units whose lengths add up to just the packet, else none.
+
+    A unit of 256 to 511 bytes has a length that looks like a start code: only the sum tells.
+    """
+    units, at = [], 0
     while at + 4 < len(data):
         size = int.from_bytes(data[at:at + 4], 'big')
-        if size == 0 or at + 4 + size > len(data):
-            return
-        yield data[at + 4:at + 4 + size]
+        units.append(data[at + 4:at + 4 + size])
         at += 4 + size
+    return units if at == len(data) and all(units) else []
 
 
 def parameter_sets(extradata: bytes) -> Iterator[bytes]:
@@ -237,7 +244,7 @@ class Headers:
 
     def read_slice(self, packet: bytes) -> SliceHeader | None:
         """Return the first slice header of a packet, H.264 7.3.3; None where it is not known."""
-        units = list(nal_units(packet))
+        units = nal_units(packet)
         self.read_parameters(units)
         unit = next((u for u in units if u and u[0] & 31 in (NAL_SLICE, NAL_IDR)), None)
         if unit is None or self.sps is None or self.sps.interlaced:
@@ -300,8 +307,8 @@ def sniff(data: bytes) -> str:
 
     A topic's format field is sometimes wrong; Annex B and MPEG start codes are not.
     """
-    at = data.find(b'\x00\x00\x01')
-    if at not in (0, 1) or at + 4 > len(data):
+    at = data.find(START)
+    if at not in (0, 1) or at + 4 > len(data) or _length_prefixed(data):
         return ''
     code = data[at + 3]
     if code in (0xB3, 0x00, 0xB8):

@@ -22,7 +22,7 @@ PRESETS = {
     'h264': {'preset': 'medium', 'crf': '18',
              'x264-params': 'ref=1:scenecut=0:rc-lookahead=0:sync-lookahead=0:weightp=0:'
                             'b-adapt=0:b-pyramid=none:weightb=0:mbtree=0:sliced-threads=0:'
-                            'threads=1:open-gop=1'},
+                            'threads=1:open-gop=1:force-cfr=1'},
 }
 ENCODERS = {'mpeg2video': 'mpeg2video', 'h264': 'libx264'}
 

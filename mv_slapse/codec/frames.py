@@ -74,7 +74,8 @@ class FrameDecoder:
         return (self._decode(_numbered(self._last_key, 0)) if echo else []) + self._decode(None)
 
     def _open(self, packet: Packet):
-        codec = bitstream.sniff(packet.data) or packet.codec
+        sniffed = '' if packet.extradata else bitstream.sniff(packet.data)
+        codec = sniffed or packet.codec
         if {codec, packet.codec} == {'mpeg1video', 'mpeg2video'}:
             codec = packet.codec
         check_codec(codec)

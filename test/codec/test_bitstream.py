@@ -78,7 +78,9 @@ def test_b_frames_leave_no_gap(rng):
 def test_length_prefixed_units_and_their_parameter_sets_are_read(rng):
     units = [b'\x67' + bytes(9), b'\x68\xaa', b'\x65' + bytes([7]) * 300]
     avcc = b''.join(len(unit).to_bytes(4, 'big') + unit for unit in units)
-    assert list(bitstream.nal_units(avcc)) == units
+    assert bitstream.nal_units(avcc) == units
+    assert bitstream.nal_units(avcc[-305:]) == units[2:]
+    assert bitstream.sniff(avcc[-305:]) == bitstream.sniff(avcc) == ''
     extradata = (b'\x01\x64\x00\x1f\xff\xe1' + len(units[0]).to_bytes(2, 'big') + units[0]
                  + b'\x01' + len(units[1]).to_bytes(2, 'big') + units[1])
     assert list(bitstream.parameter_sets(extradata)) == units[:2]

@@ -1,0 +1,112 @@
+from dataclasses import replace
+
+from mv_slapse.codec.decoder import CorrespondenceDecoder
+from mv_slapse.codec.encoder import encode, Encoding, LOW_LATENCY
+from mv_slapse.config import DecoderSettings
+from mv_slapse.records import SegmentKind
+import numpy as np
+import pictures
+import pytest
+
+MPEG2 = Encoding('mpeg2video', 3, 12)
+EACH = DecoderSettings(max_chain=1)
+ENCODINGS = [MPEG2, LOW_LATENCY, Encoding('h264', 2, 12)]
+STEP = (5, -3)
+
+
+def decoded(packets, settings=EACH):
+    decoder = CorrespondenceDecoder(settings)
+    return [pair for packet in packets for pair in decoder.feed(packet)] + decoder.flush()
+
+
+def packets(rng, encoding, n=15):
+    return list(encode(pictures.sliding(rng, n, STEP), 25, encoding))
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+@pytest.mark.parametrize('settings', [EACH, DecoderSettings(), DecoderSettings(split_flow=0.0)])
+def test_correspondences_are_the_motion_of_the_pictures(rng, encoding, settings):
+    pairs = decoded(packets(rng, encoding), settings)
+    for pair in pairs:
+        frames = (pair.stamp - pair.previous_stamp) / 40_000_000
+        error = np.abs(pair.x_prev - pair.x_cur - np.multiply(STEP, frames)).max(axis=1)
+        assert len(pair) > 20
+        assert (error < 1).mean() > 0.9
+    assert pairs[0].previous_stamp == 0
+    assert pairs[-1].stamp == 14 * 40_000_000
+    assert all(a.stamp == b.previous_stamp for a, b in zip(pairs, pairs[1:], strict=False))
+
+
+def test_columns_are_float32_and_of_one_length(rng):
+    pair = decoded(packets(rng, MPEG2))[1]
+    for name in ('x_cur', 'x_prev', 'sigma', 'probability'):
+        column = getattr(pair, name)
+        assert column.dtype == np.float32
+        assert len(column) == len(pair)
+    assert pair.block.dtype == np.uint8
+    assert pair.block.shape == (len(pair), 2)
+
+
+def test_kinds_follow_the_key_frames(rng):
+    kinds = [pair.kind.name for pair in decoded(packets(rng, MPEG2, 17),
+                                                replace(EACH, split_flow=1e6))]
+    assert kinds == ['IP', 'PP', 'PI', 'IP']
+
+
+def test_an_i_frame_without_b_frames_is_bridged_or_broken(rng):
+    coded = packets(rng, Encoding('h264', 0, 6), 14)
+    bridged = decoded(coded)
+    assert all(pair.kind is not SegmentKind.BROKEN for pair in bridged)
+    assert np.median(np.abs(bridged[5].x_prev - bridged[5].x_cur - STEP)) < 0.1
+    broken = decoded(coded, replace(EACH, bridge_intra=False))[5]
+    assert (broken.kind, len(broken)) == (SegmentKind.BROKEN, 0)
+    assert 'I frame' in broken.reason
+
+
+def test_a_lost_packet_breaks_one_pair_with_a_reason(rng):
+    coded = packets(rng, LOW_LATENCY)
+    broken = [pair for pair in decoded(coded[:6] + coded[7:])
+              if pair.kind is SegmentKind.BROKEN]
+    assert [(pair.previous_stamp, pair.stamp) for pair in broken] == [(200_000_000, 280_000_000)]
+    assert 'lost' in broken[0].reason
+
+
+def test_a_change_of_size_breaks_one_pair(rng):
+    wide = encode(pictures.sliding(rng, 5, STEP, (320, 192)), 25, LOW_LATENCY)
+    coded = packets(rng, LOW_LATENCY, 5) + [
+        replace(packet, stamp=packet.stamp + 200_000_000) for packet in wide]
+    pairs = decoded(coded)
+    assert [pair.kind is SegmentKind.BROKEN for pair in pairs] == [False] * 4 + [True] + [
+        False] * 4
+    assert [pair.width for pair in pairs] == [256] * 4 + [320] * 5
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_damaged_packets_never_raise(rng, encoding):
+    coded = packets(rng, encoding)
+    for i in rng.choice(np.arange(1, 15), 5, replace=False):
+        payload = bytearray(coded[i].data)
+        for at in rng.integers(0, len(payload), 20):
+            payload[at] ^= 1 << rng.integers(0, 8)
+        coded[i] = replace(coded[i], data=bytes(payload[:rng.integers(1, len(payload))]))
+    assert len(decoded(coded)) >= 1
+
+
+def test_noise_from_the_start_gives_nothing_and_no_exception(rng):
+    noise = [replace(packet, data=rng.bytes(400)) for packet in packets(rng, LOW_LATENCY, 4)]
+    assert decoded(noise) == []
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_two_runs_give_the_same_correspondences(rng, encoding):
+    coded = packets(rng, encoding)
+    for one, other in zip(decoded(coded), decoded(coded), strict=True):
+        for name in ('x_cur', 'x_prev', 'sigma'):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_still_pictures_give_zero_vectors_at_a_bounded_interval(rng):
+    still = [pictures.sliding(rng, 1, (0, 0))[0]] * 31
+    pairs = decoded(encode(still, 30, LOW_LATENCY), DecoderSettings())
+    assert max(pair.stamp - pair.previous_stamp for pair in pairs) <= 250_000_000
+    assert all(np.median(np.abs(pair.x_prev - pair.x_cur)) < 0.01 for pair in pairs)

@@ -1,0 +1,99 @@
+from fractions import Fraction
+
+import av
+from mv_slapse.codec.encoder import Encoding, LOW_LATENCY, write_video
+from mv_slapse.codec.source import open_source
+from mv_slapse.errors import UnusableInput
+import pictures
+import pytest
+
+
+@pytest.fixture
+def video(tmp_path, rng):
+    path = tmp_path / 'video.mpg'
+    write_video(path, pictures.sliding(rng, 14, (2, 1)), 25, Encoding('mpeg2video', 2, 12))
+    return path
+
+
+def test_the_first_picture_has_stamp_zero_and_b_frames_their_own(video):
+    with open_source(video) as source:
+        stamps = [packet.stamp for packet in source.packets()]
+    assert stamps[:4] == [0, 120_000_000, 40_000_000, 80_000_000]
+
+
+def test_codec_size_and_rate_are_told(video):
+    with open_source(video) as source:
+        assert (source.codec, source.width, source.height) == ('mpeg2video', 256, 192)
+        assert source.fps == pytest.approx(25)
+
+
+def test_a_file_without_times_gets_them_from_the_rate(tmp_path, rng):
+    path = tmp_path / 'raw.h264'
+    write_video(path, pictures.sliding(rng, 5, (2, 1)), 25, LOW_LATENCY)
+    with open_source(path) as source:
+        assert [packet.stamp for packet in source.packets()] == [
+            i * 40_000_000 for i in range(5)]
+
+
+def test_a_file_that_is_cut_off_is_played_as_far_as_it_goes(video, tmp_path):
+    part = tmp_path / 'part.mpg'
+    part.write_bytes(video.read_bytes()[:video.stat().st_size // 2])
+    with open_source(part) as source:
+        assert 3 < len(list(source.packets())) < 14
+
+
+@pytest.mark.parametrize(('content', 'message'), [
+    (None, 'no such file'), (b'', 'is empty'), (b'not a video at all' * 50, 'cannot be opened')])
+def test_what_is_no_video_is_refused(tmp_path, content, message):
+    path = tmp_path / 'input.mp4'
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(UnusableInput, match=message):
+        open_source(path)
+
+
+def test_a_directory_is_refused(tmp_path):
+    with pytest.raises(UnusableInput, match='directory'):
+        open_source(tmp_path)
+
+
+@pytest.mark.parametrize('url', ['ftp://host/a.mp4', 'concat://a|b', 'data://x'])
+def test_other_protocols_are_refused(url):
+    with pytest.raises(UnusableInput, match='protocol'):
+        open_source(url)
+
+
+def encoded_as(path, codec, rng, options):
+    with av.open(str(path), 'w') as container:
+        stream = container.add_stream(codec, rate=Fraction(25))
+        stream.width, stream.height, stream.pix_fmt = 256, 192, 'yuv420p'
+        stream.codec_context.options = options
+        for image in pictures.sliding(rng, 3, (2, 1)):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, 'gray').reformat(
+                format='yuv420p')))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.mark.parametrize(('codec', 'name'), [('libx265', 'hevc'), ('libvpx-vp9', 'vp9')])
+def test_a_codec_without_vectors_is_refused_with_a_cure(tmp_path, rng, codec, name):
+    if codec not in av.codecs_available:
+        pytest.skip(f'this FFmpeg has no {codec}')
+    path = encoded_as(tmp_path / 'video.mkv', codec, rng, {})
+    with pytest.raises(UnusableInput, match=f'{name} gives no motion vectors.*ffmpeg -i'):
+        open_source(path)
+
+
+def test_interlaced_video_is_refused(tmp_path, rng):
+    path = encoded_as(tmp_path / 'video.mp4', 'libx264', rng, {'x264-params': 'tff=1'})
+    with pytest.raises(UnusableInput, match='interlaced'):
+        open_source(path)
+
+
+def test_sound_alone_is_refused(tmp_path):
+    path = tmp_path / 'sound.wav'
+    path.write_bytes(b'RIFF\x2c\x00\x00\x00WAVEfmt \x10\x00\x00\x00\x01\x00\x01\x00'
+                     b'\x40\x1f\x00\x00\x80\x3e\x00\x00\x02\x00\x10\x00data\x08\x00\x00\x00'
+                     + bytes(8))
+    with pytest.raises(UnusableInput, match='no video stream'):
+        open_source(path)
