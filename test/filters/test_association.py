@@ -62,6 +62,13 @@ def test_a_depth_that_is_no_evidence_does_not_speak_against_a_detection():
     assert association.associate([track_of(detection())], [guess], GATE) == [(0, 0)]
 
 
+def test_of_two_alike_the_one_that_overlaps_more_continues():
+    track = track_of(detection(5, 10, across=4))
+    other, same = detection(6, 11, across=4), detection(7, 10, across=4)
+    same = replace(same, z=other.z)
+    assert association.associate([track], [other, same], GATE) == [(0, 1)]
+
+
 def test_nothing_to_assign_is_no_pair():
     assert association.associate([], [detection()], GATE) == []
     assert association.associate([track_of(detection())], [], GATE) == []

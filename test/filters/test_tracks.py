@@ -1,0 +1,135 @@
+"""One track: outline, edges, hand-over and time to contact against definitions."""
+
+from dataclasses import replace
+
+from drawn_movers import Drive, DT, K, Mover
+from mv_slapse.config import ObstacleSettings
+from mv_slapse.filters import obstacle_motion as om
+from mv_slapse.filters import tracks
+from mv_slapse.filters.detections import detections
+from mv_slapse.filters.view import view_of
+from numeric import jacobian
+import numpy as np
+import pytest
+
+SETTINGS = ObstacleSettings()
+DRIVE = Drive((Mover(1, (-3, 22), (0, -8)),), scale_sigma=0.0, sigma=0.05)
+
+
+class Moment:
+    """Extraction, view and detection of a drive at a time."""
+
+    def __init__(self, now, rng, drive=DRIVE):
+        self.extraction = drive.extraction(now - DT, now, rng)
+        self.view = view_of(self.extraction, drive.scene(now - DT, now), None)
+        self.detection = detections(self.extraction, self.view, SETTINGS)[0]
+        self.step = om.CameraStep(self.view.R_cur_from_prev, self.view.t_cur_from_prev, DT,
+                                  self.view.scene_velocity, self.view.scene_covariance)
+
+    def track(self):
+        return tracks.start(self.detection, self.extraction, self.view, 7)
+
+
+def test_prediction_moves_the_blocks_to_where_the_obstacle_will_be(rng):
+    first, second = Moment(0.3, rng), Moment(0.4, rng)
+    track = first.track()
+    before = track.x.copy()
+    assert track.predict(second.step, second.view, SETTINGS)
+    # Where the same points of the car are in the next picture, by the exact geometry.
+    mover = DRIVE.movers[0]
+    depth = mover.base(0.3)[2] - DRIVE.pose(0.3)[1][2]
+    X = depth * (np.c_[before, np.ones(len(before))] @ np.linalg.inv(K).T)
+    X = X + mover.speed(0) * DT - (DRIVE.pose(0.4)[1] - DRIVE.pose(0.3)[1])
+    expected = X @ K.T
+    np.testing.assert_allclose(track.x, expected[:, :2] / expected[:, 2:], atol=3)
+    assert np.abs(expected[:, :2] / expected[:, 2:] - before).max() > 6
+    assert np.all(track.block > 16)
+
+
+def test_time_to_contact_is_depth_over_closing_speed(rng):
+    moment = Moment(0.5, rng)
+    depth = DRIVE.movers[0].base(0.5)[2] - DRIVE.pose(0.5)[1][2]
+    found, variance = moment.track().time_to_contact()
+    assert found == pytest.approx(depth / 18, rel=0.1)
+    assert 0 < np.sqrt(variance) < 0.5
+
+
+def test_a_receding_obstacle_has_no_contact(rng):
+    drive = Drive((Mover(1, (0, 10), (0, 14)),))
+    assert Moment(0.5, rng, drive).track().time_to_contact() == (np.inf, np.inf)
+
+
+def test_handover_has_the_covariance_of_plane_and_velocity(rng):
+    moment = Moment(0.5, rng)
+    track, view = moment.track(), moment.view
+
+    def state(mu):
+        cartesian, _ = om.to_cartesian(mu)
+        velocity = view.R_world_from_cam @ (cartesian[3:6] - view.scene_velocity)
+        return np.r_[view.plane_to_world(om.plane(mu))[0], velocity]
+    by_state = jacobian(state, track.mu)
+    expected = by_state @ track.P @ by_state.T
+    expected[3:, 3:] += view.scene_covariance
+    handover = track.handover(moment.extraction.stamp, view)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(handover.covariance / scale, expected / scale, atol=1e-3)
+    np.testing.assert_allclose(handover.plane, state(track.mu)[:3])
+    assert not np.any(handover.velocity)
+
+
+def edge_evidence(track, detection, **changed):
+    return track._depth_evidence(replace(detection, **changed), 1e-9)
+
+
+def test_a_jump_of_the_edge_puts_it_between_the_two_rows(rng):
+    moment = Moment(0.5, rng)
+    track, detection = moment.track(), moment.detection
+    edge = detection.edge
+    track.edge = edge._replace(row=edge.row - 16)
+    found = edge_evidence(track, detection)
+    # Eight rows higher up the ground is seen at f h / (drop - 8).
+    assert np.exp(found.z[2] - detection.z[2]) == pytest.approx(edge.drop / (edge.drop - 8))
+    assert found.R[2, 2] == pytest.approx((tracks.BOUNDARY_SIGMA / edge.drop)**2)
+
+
+@pytest.mark.parametrize('side', [-1, 1])
+def test_a_prediction_outside_its_block_is_drawn_to_the_block(rng, side):
+    moment = Moment(0.5, rng)
+    track, detection = moment.track(), moment.detection
+    track.state.mu[2] += side * 0.5
+    found = edge_evidence(track, detection)
+    bound = detection.edge.log_depth(detection.z[2], -side * detection.edge.half)
+    assert found.z[2] == pytest.approx(bound)
+    assert abs(found.z[2] - detection.z[2]) < abs(track.mu[2] - detection.z[2])
+
+
+def test_an_edge_that_stays_says_what_it_said(rng):
+    moment = Moment(0.5, rng)
+    assert edge_evidence(moment.track(), moment.detection).z[2] == moment.detection.z[2]
+
+
+def test_repeating_a_detection_does_not_make_its_depth_certain(rng):
+    moment = Moment(0.5, rng, Drive((Mover(1, (0, 15), (0, 10)),)))
+    track = moment.track()
+    sigma = np.sqrt(track.P[2, 2])
+    for _ in range(20):
+        track.predict(moment.step, moment.view, SETTINGS)
+        track.update(moment.detection, moment.extraction, moment.view, SETTINGS)
+    assert np.sqrt(track.P[2, 2]) > 0.4 * sigma
+
+
+def test_a_manoeuvre_raises_the_noise_of_the_prediction():
+    calm, braking = (tracks_after(lambda t, a=a: (0, 10 - a * t)) for a in (0, 6))
+    assert braking._unrest() > 3 * calm._unrest()
+
+
+def tracks_after(velocity):
+    """Return the track of a car ahead after a second."""
+    rng = np.random.default_rng(1)
+    drive = Drive((Mover(1, (0, 12), velocity),), scale_sigma=0.0)
+    track = Moment(0.1, rng, drive).track()
+    for now in np.arange(0.2, 1.05, DT):
+        moment = Moment(now, rng, drive)
+        track.predict(moment.step, moment.view, SETTINGS)
+        track.update(moment.detection, moment.extraction, moment.view, SETTINGS)
+    return track
