@@ -54,6 +54,7 @@ class CameraInput:
     def _take(self, camera: Camera):
         self.camera = camera
         self._node.health.solved(TOPIC)
+        self._node.health.unwatch(TOPIC)
         self._on_camera(camera)
 
 

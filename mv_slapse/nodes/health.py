@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 
 SILENCE = 3.0  # [s] without input before it is reported
+LATE = 1.0  # [s] that input waits before it is reported
 
 
 def every(node: Node, period: float, callback: Callable[[], None]) -> Timer:
@@ -62,10 +63,20 @@ class Health:
         """Report when nothing arrives on a topic; ``hint`` says where it should come from."""
         self._watches[topic] = _Watch(self._node.resolve_topic_name(topic), hint, 0.0)
 
-    def arrived(self, topic: str):
-        """Note that something arrived on a watched topic."""
-        self._watches[topic].last = time.monotonic()
+    def unwatch(self, topic: str):
+        """Say nothing more when a topic is silent: what it had to say is known."""
+        self._watches.pop(topic, None)
+
+    def arrived(self, topic: str, waited: float):
+        """Note that something arrived on a topic and waited [s] before it was read."""
+        if topic in self._watches:
+            self._watches[topic].last = time.monotonic()
         self.count(f'messages on {topic}')
+        if waited > LATE:
+            self.warning(f'late {topic}', f'{waited:.1f} s behind on {topic}: this machine is '
+                         'too slow for the stream; lower its rate or size, or free the CPU')
+        else:
+            self.solved(f'late {topic}')
 
     def status(self) -> DiagnosticStatus:
         """Return the state now."""

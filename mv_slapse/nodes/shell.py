@@ -1,6 +1,7 @@
 """What all nodes share: parameters, diagnostics, ~/reset, ~/pause, and an orderly end."""
 
 from collections.abc import Callable
+import time
 from typing import Any
 
 from mv_slapse.errors import MvSlapseError
@@ -33,10 +34,10 @@ class Shell(Node):
         """Forget everything but parameters and camera."""
         raise NotImplementedError
 
-    def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+    def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[..., None]:
         """Return a callback that notes arrivals, heeds ~/pause, and reports what it cannot use."""
-        def on_message(msg):
-            self.health.arrived(topic)
+        def on_message(msg, info):
+            self.health.arrived(topic, (time.time_ns() - info['received_timestamp']) / 1e9)
             if not self.paused:
                 self.attempt(topic, callback, msg)
 

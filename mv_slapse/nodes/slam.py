@@ -3,6 +3,7 @@
 from mv_slapse import fields
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters.scene import SceneFilter
+from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.archive import Archive
 from mv_slapse.nodes.extrinsics import Extrinsics
 from mv_slapse.nodes.gate import Gate
@@ -11,7 +12,7 @@ from mv_slapse.nodes.health import every
 from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.scene_output import SceneOutput
 from mv_slapse.nodes.shell import run, Shell
-from mv_slapse.records import Label
+from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus, SegmentKind
 from mv_slapse_msgs.msg import PlaneObservations
 
 TOPIC = 'planes/observations'
@@ -47,13 +48,30 @@ class SlamNode(Shell):
         if extraction.stamp < self._newest:
             self.get_logger().warning('time went back (a bag played again?): starting anew')
             self.restart()
-        self._newest = extraction.stamp
         frames = self._extrinsics.frames(msg.header.frame_id)
+        if 0 < self._newest < extraction.previous_stamp:
+            self.health.count('gaps')
+            self._advance(missing_pair(extraction, self._newest), frames)
+        self._advance(extraction, frames)
+
+    def _advance(self, extraction: Extraction, frames: RosFrames):
+        self._newest = extraction.stamp
         due = self._handovers.due(extraction.stamp - 1, frames)
         scene, given = self._filter.step(extraction, due)
         self._archive.add(scene, extraction.previous_stamp)
         self._handovers.publish(given, frames)
         self._output.publish(scene, frames)
+
+
+def missing_pair(extraction: Extraction, newest: int) -> Extraction:
+    """Return a pair that tells nothing, from the key frame ``newest`` [ns] to this pair's first.
+
+    Where messages were lost the filter needs it: a pair speaks of the motion since its own
+    previous key frame, not since the last one that arrived.
+    """
+    return Extraction(extraction.previous_stamp, newest, extraction.width, extraction.height,
+                      SegmentKind.BROKEN, extraction.K, CameraMotion(MotionStatus.UNKNOWN),
+                      reason='messages were lost before this key frame')
 
 
 def main(args: list[str] | None = None) -> int:

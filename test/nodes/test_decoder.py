@@ -1,3 +1,5 @@
+import time
+
 import pytest
 
 pytest.importorskip('rclpy')
@@ -131,6 +133,27 @@ def test_packets_wait_for_a_late_camera_info(bench):
     expected = expected_records(clips.packets('h264', START))
     assert bench.spin(lambda: len(received) >= len(expected))
     assert_arrived(received, expected)
+
+
+def test_a_message_that_waits_is_reported_as_late(bench):
+    message_type, messages = ffmpeg_messages(clips.packets('h264', START))
+    node = bench.start(DecoderNode)
+    publish_camera(bench)
+    publisher = bench.advertise(message_type, 'video')
+    publisher.publish(messages[0])
+    time.sleep(1.2)
+    assert bench.spin(lambda: 's behind on video' in messages_of(node))
+    publisher.publish(messages[1])
+    assert bench.spin(lambda: 's behind on video' not in messages_of(node))
+
+
+def test_silence_is_reported_with_the_topic_and_what_to_do(bench):
+    node = bench.start(DecoderNode)
+    said = messages_of(node)
+    assert '/video has no publisher' in said or 'no camera_info yet' in said
+    publish_camera(bench)
+    assert bench.spin(lambda: 'camera_info' not in messages_of(node))
+    assert 'remap video' in messages_of(node)
 
 
 def test_an_uncalibrated_camera_is_an_error_that_says_so(bench):

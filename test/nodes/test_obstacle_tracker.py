@@ -190,3 +190,14 @@ def test_markers_keep_their_ids_and_are_deleted(bench):
     assert bench.spin(lambda: len(arrays) == 2)
     assert {m.action for m in arrays[1].markers} == {Marker.DELETE}
     assert len(arrays[1].markers) == 3
+
+
+def test_a_handover_waits_for_its_key_frame_and_is_given_once(bench):
+    node = bench.start(ObstacleTrackerNode, tf_wait=0.0)
+    record = made_up.handover(np.random.default_rng(0), stamp=400)
+    bench.advertise(PlaneHandover, 'planes/handover').publish(
+        to_message(PlaneHandover, fields.handover_to_fields(record, FRAMES)))
+    bench.spin(lambda: False, 0.3)
+    assert node._handovers.due(399, FRAMES) == []
+    assert [h.id for h in node._handovers.due(400, FRAMES)] == [record.id]
+    assert node._handovers.due(401, FRAMES) == []

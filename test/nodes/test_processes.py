@@ -67,14 +67,16 @@ def test_a_parameter_out_of_bounds_ends_the_node_with_code_2_and_its_bounds(ros_
 def test_what_the_launch_file_starts_runs(bench, tmp_path):
     write_video(tmp_path / 'clip.mp4', clips.pictures(), clips.FPS)
     write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    (tmp_path / 'slow.yaml').write_text('/**: {ros__parameters: {source_rate: 0.1}}')
     received = bench.listen(Correspondences, '/robot/correspondences')
     started = fake_launch.resolve(
         ROOT / 'mv_slapse' / 'launch' / 'mv_slapse.launch.py', input=str(tmp_path / 'clip.mp4'),
-        camera_info_url=str(tmp_path / 'camera.yaml'), namespace='robot')
+        params_file=str(tmp_path / 'slow.yaml'), camera_info_url=str(tmp_path / 'camera.yaml'),
+        namespace='robot')
     processes = [subprocess.Popen(s.cmd, text=True, stdout=subprocess.PIPE,
                                   stderr=subprocess.STDOUT) for s in started]
     try:
-        assert bench.spin(lambda: received, 60)
+        assert bench.spin(lambda: received and set(NODES[:4]) <= names_of(bench.peer), 60)
     finally:
         stop(processes, signal.SIGINT)
 

@@ -158,6 +158,24 @@ def test_without_a_pose_only_the_map_goes_out_and_says_why(bench, status):
     assert (node.health.status().level == b'\x02') == (status == TrackingStatus.LOST)
 
 
+def test_where_a_message_was_lost_the_pose_is_predicted_to_the_next_pair(bench):
+    maps = bench.listen(PlaneMap, 'planes/map', LATCHED)
+    odometry = bench.listen(Odometry, 'odometry')
+    node = bench.start(SlamNode, **PARAMETERS)
+    publisher = bench.advertise(PlaneObservations, 'planes/observations')
+    steps = drives.steps(8)
+    for step in [*steps[:4], *steps[5:]]:
+        publisher.publish(to_message(PlaneObservations, fields.extraction_to_fields(
+            step.extraction, RosFrames(camera='cam'))))
+    assert bench.spin(lambda: len(odometry) == 8, 30)
+    tracking = {fields.stamp_from_message(m.header.stamp): m for m in maps}
+    missed = tracking[steps[4].scene.stamp]
+    assert missed.tracking == TrackingStatus.PREDICTED
+    assert 'lost' in missed.reason
+    np.testing.assert_allclose(position(odometry[-1]), expected_positions(8)[-1], atol=0.15)
+    assert 'gaps' in str(node.health.status().values)
+
+
 def test_the_path_is_bounded(bench):
     paths = bench.listen(PathMsg, 'path')
     bench.start(SlamNode, path_length=3, path_period=0.0, **PARAMETERS)
