@@ -57,18 +57,24 @@ def to_message(name: str, values: Fields) -> Any:
 
     As in ROS, a field that is not given is zero or empty; one that does not exist is a KeyError.
     """
-    store = typestore()
-    _, definition = store.fielddefs[name]
-    unknown = set(values) - {field for field, _ in definition}
-    if unknown:
-        raise KeyError(f'{name} has no field {", ".join(sorted(unknown))}')
-    return store.types[name](**{field: _value(kind, values[field]) if field in values
-                                else _default(kind) for field, kind in definition})
+    make, definition, known = _layout(name)
+    if not values.keys() <= known:
+        raise KeyError(f'{name} has no field {", ".join(sorted(values.keys() - known))}')
+    return make(*[_value(kind, values[field]) if field in values else _default(kind)
+                  for field, kind in definition])
 
 
 def serialize(name: str, values: Fields) -> bytes:
     """Return the CDR form of a message of the type ``name`` with the given fields."""
     return bytes(typestore().serialize_cdr(to_message(name, values), name))
+
+
+@cache
+def _layout(name: str) -> tuple[type, list, frozenset[str]]:
+    """Return class, fields with their kinds, and names of the fields of a type."""
+    store = typestore()
+    _, definition = store.fielddefs[name]
+    return store.types[name], definition, frozenset(field for field, _ in definition)
 
 
 def _value(kind: tuple, value: Any) -> Any:
