@@ -41,7 +41,7 @@ def test_prediction_moves_the_blocks_to_where_the_obstacle_will_be(rng):
     X = depth * (np.c_[before, np.ones(len(before))] @ np.linalg.inv(K).T)
     X = X + mover.speed(0) * DT - (DRIVE.pose(0.4)[1] - DRIVE.pose(0.3)[1])
     expected = X @ K.T
-    np.testing.assert_allclose(track.x, expected[:, :2] / expected[:, 2:], atol=3)
+    np.testing.assert_allclose(track.x, expected[:, :2] / expected[:, 2:], atol=1.2)
     assert np.abs(expected[:, :2] / expected[:, 2:] - before).max() > 6
     assert np.all(track.block > 16)
 
