@@ -32,9 +32,9 @@ BELOW = {
     'filters': LOW,
     'evaluation': {*LOW, 'storage'},
     'pipeline': {*LOW, 'codec', 'planes', 'filters'},
-    'storage': {*LOW, 'codec', 'fields', 'video_messages'},
+    'storage': {*LOW, 'codec', 'fields', 'video_messages', 'view_fields'},
     'nodes': {*LOW, 'codec', 'planes', 'filters', 'pipeline', 'storage', 'fields',
-              'video_messages'},
+              'video_messages', 'view_fields'},
 }
 
 
