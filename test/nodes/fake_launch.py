@@ -22,7 +22,6 @@ class Started:
     executable: str = ''
     namespace: str = ''
     parameters: dict = field(default_factory=dict)
-    files: list = field(default_factory=list)
     remappings: dict = field(default_factory=dict)
     respawn: bool = False
 
@@ -81,10 +80,7 @@ class Node:
     def visit(self, _context):
         started = self._started
         for entry in self._parameters:
-            if isinstance(entry, dict):
-                started.parameters.update(entry)
-            else:
-                started.files.append(entry)
+            started.parameters.update(entry if isinstance(entry, dict) else {})
         started.cmd = [self._path(), *self._arguments, *self._ros_arguments()]
         return [started]
 
@@ -100,7 +96,8 @@ class Node:
         for source, target in {**names, **started.remappings}.items():
             if target and target != '/':
                 arguments += ['-r', f'{source}:={target}']
-        for file in [*started.files, _parameter_file(started.parameters)]:
+        for entry in self._parameters:
+            file = _parameter_file(entry) if isinstance(entry, dict) else entry
             arguments += ['--params-file', file]
         return arguments
 
