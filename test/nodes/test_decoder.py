@@ -156,6 +156,13 @@ def test_silence_is_reported_with_the_topic_and_what_to_do(bench):
     assert 'remap video' in messages_of(node)
 
 
+def test_a_camera_info_latched_long_before_is_found(bench):
+    publish_camera(bench)
+    bench.spin(lambda: False, 0.3)
+    node = bench.start(DecoderNode)
+    assert bench.spin(lambda: 'camera_info' not in messages_of(node))
+
+
 def test_an_uncalibrated_camera_is_an_error_that_says_so(bench):
     node = bench.start(DecoderNode)
     publish_camera(bench, clips.camera_info(0.0))
@@ -263,3 +270,15 @@ def test_a_file_is_decoded_to_its_end(bench, tmp_path):
     assert received[-1].header.stamp.sec == 1
     assert received[-1].header.stamp.nanosec == 500_000_000
     assert received[0].header.frame_id == 'front'
+
+
+def test_a_file_gets_the_time_of_the_clock(bench, tmp_path):
+    write_video(tmp_path / 'clip.mp4', clips.pictures(), clips.FPS)
+    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    received = bench.listen(Correspondences, 'correspondences')
+    begin = time.time()
+    bench.start(DecoderNode, source=str(tmp_path / 'clip.mp4'), source_rate=2.0,
+                camera_info_url=str(tmp_path / 'camera.yaml'))
+    assert bench.spin(lambda: len(received) >= 2)
+    stamps = [fields.stamp_from_message(msg.header.stamp) / 1e9 for msg in received]
+    assert begin < stamps[0] < stamps[1] < begin + 5

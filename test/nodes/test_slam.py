@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,8 @@ from mv_slapse.nodes.conversions import to_message  # noqa: E402
 from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
 from mv_slapse.nodes.shell import Shell  # noqa: E402
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
-from mv_slapse.records import MapPlane, TrackingStatus  # noqa: E402
-from mv_slapse_msgs.msg import PlaneMap, PlaneObservations  # noqa: E402
+from mv_slapse.records import Label, MapPlane, TrackingStatus  # noqa: E402
+from mv_slapse_msgs.msg import PlaneHandover, PlaneMap, PlaneObservations  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from nav_msgs.msg import Path as PathMsg
 from nodes import drives  # noqa: E402
@@ -156,6 +157,20 @@ def test_without_a_pose_only_the_map_goes_out_and_says_why(bench, status):
     assert (maps[0].tracking, maps[0].reason) == (status, 'why')
     assert f'{status.name.lower()}: why' in messages_of(node)
     assert (node.health.status().level == b'\x02') == (status == TrackingStatus.LOST)
+
+
+def test_a_plane_handed_over_by_the_tracker_takes_effect_at_the_next_key_frame(bench):
+    maps = bench.listen(PlaneMap, 'planes/map', LATCHED)
+    bench.start(SlamNode, **PARAMETERS)
+    handovers = bench.advertise(PlaneHandover, 'planes/handover')
+    record = made_up.handover(np.random.default_rng(0), drives.steps(N)[1].scene.stamp)
+    record = replace(record, id=77, to_label=Label.STATIONARY, plane=np.array([0, 0, -0.05]),
+                     velocity=np.zeros(3), covariance=1e-6 * np.eye(6))
+    handovers.publish(to_message(PlaneHandover, fields.handover_to_fields(record, RosFrames())))
+    bench.spin(lambda: False, 0.3)
+    feed(bench)
+    assert bench.spin(lambda: len(maps) == N, 30)
+    assert [77 in [plane.id for plane in msg.planes] for msg in maps] == [False, False, True, True]
 
 
 def test_where_a_message_was_lost_the_pose_is_predicted_to_the_next_pair(bench):
