@@ -1,10 +1,9 @@
 """What obstacle_tracker publishes: obstacles for planners and viewers."""
 
 from geometry_msgs.msg import Point32, PolygonInstanceStamped
-from mv_slapse import fields
+from mv_slapse import fields, view_fields
 from mv_slapse.geometry import ros_frames
 from mv_slapse.geometry.ros_frames import RosFrames
-from mv_slapse.nodes import markers
 from mv_slapse.nodes.conversions import column, stamp_to_msg, to_message
 from mv_slapse.nodes.qos import RELIABLE
 from mv_slapse.nodes.settings import FrameSettings, ObstacleOutputSettings
@@ -14,7 +13,7 @@ from mv_slapse.records import Obstacle, ObstacleState, ScaleStatus
 from mv_slapse_msgs.msg import ObstacleArray
 import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 COLUMNS = ('x', 'y', 'z', 'vx', 'vy', 'vz')
 POINT = np.dtype([*((name, np.float32) for name in COLUMNS), ('id', np.int32)])
@@ -35,7 +34,8 @@ class ObstacleOutput:
         self._polygons = node.create_publisher(PolygonInstanceStamped, 'obstacles/polygons',
                                                RELIABLE)
         self._markers = node.create_publisher(MarkerArray, 'obstacles/markers', RELIABLE)
-        self._shown = markers.Markers(node.settings[FrameSettings].odom_frame, MARKER_LIFETIME)
+        self._shown = view_fields.MarkerBoard(
+            node.settings[FrameSettings].odom_frame, MARKER_LIFETIME)
 
     def publish(self, stamp: int, obstacles: list[Obstacle], scale: ScaleStatus,
                 frames: RosFrames):
@@ -47,8 +47,8 @@ class ObstacleOutput:
         for obstacle in sure:
             if len(obstacle.outline) > 2:
                 self._polygons.publish(self._polygon(stamp, obstacle, frames))
-        shown = [marker for o in obstacles for marker in _markers_of(o, frames)]
-        self._markers.publish(self._shown.array(stamp, shown))
+        self._markers.publish(to_message(MarkerArray, self._shown.show(
+            stamp, view_fields.obstacle_markers(obstacles, frames))))
         self._node.health.value('obstacles', len(sure))
 
     def _cloud(self, stamp: int, obstacles: list[Obstacle], frames: RosFrames) -> PointCloud2:
@@ -79,14 +79,3 @@ class ObstacleOutput:
         msg.polygon.id = obstacle.id
         msg.polygon.polygon.points = [Point32(x=x, y=y) for x, y in corners.tolist()]
         return msg
-
-
-def _markers_of(obstacle: Obstacle, frames: RosFrames) -> list[Marker]:
-    colour, id_ = markers.COLOURS[obstacle.state], obstacle.id
-    position = ros_frames.points_to_odom(obstacle.position, frames)
-    velocity = ros_frames.vectors_to_odom(obstacle.velocity, frames)
-    outline = ros_frames.points_to_odom(obstacle.outline, frames)
-    return [markers.surface('obstacles', id_, outline, colour),
-            markers.arrow('velocity', id_, position, velocity, colour),
-            markers.label('time_to_contact', id_, position + (0, 0, 1),
-                          f'{id_}: {obstacle.time_to_contact:.1f} s')]

@@ -4,10 +4,8 @@ from collections import deque
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistWithCovarianceStamped
-from mv_slapse import fields
-from mv_slapse.geometry import ros_frames
+from mv_slapse import fields, view_fields
 from mv_slapse.geometry.ros_frames import RosFrames
-from mv_slapse.nodes import markers
 from mv_slapse.nodes.conversions import bounded_covariance, stamp_to_msg, to_message
 from mv_slapse.nodes.extrinsics import tf_message_type
 from mv_slapse.nodes.qos import LATCHED, RELIABLE
@@ -18,6 +16,8 @@ from mv_slapse.records import ScaleStatus, SceneEstimate, TrackingStatus
 from mv_slapse_msgs.msg import PlaneMap
 from nav_msgs.msg import Odometry, Path
 from visualization_msgs.msg import MarkerArray
+
+MARKERS_PERIOD = 1_000_000_000  # [ns] while nobody looks
 
 
 class SceneOutput:
@@ -47,8 +47,9 @@ class SceneOutput:
     def restart(self):
         """Forget the path."""
         self._poses: deque[PoseStamped] = deque(maxlen=self._settings.path_length)
-        self._path_due = 0
-        self._shown = markers.Markers(self._node.settings[FrameSettings].odom_frame, 0.0)
+        self._path_due = self._markers_due = 0
+        self._shown = view_fields.MarkerBoard(
+            self._node.settings[FrameSettings].odom_frame)
 
     def publish(self, scene: SceneEstimate, frames: RosFrames):
         """Publish an estimate; the transform goes before the data of the same stamp."""
@@ -84,11 +85,12 @@ class SceneOutput:
         self._path.publish(path)
 
     def _publish_markers(self, scene: SceneEstimate, frames: RosFrames):
-        shown = [markers.surface('planes', plane.id,
-                                 ros_frames.points_to_odom(plane.outline, frames),
-                                 markers.GROUND if plane.is_ground else markers.WALL)
-                 for plane in scene.planes if len(plane.outline) > 2]
-        self._markers.publish(self._shown.array(scene.stamp, shown))
+        """Publish markers for who looks, and each second for who looks later."""
+        if not self._markers.get_subscription_count() and scene.stamp < self._markers_due:
+            return
+        self._markers_due = scene.stamp + MARKERS_PERIOD
+        self._markers.publish(to_message(MarkerArray, self._shown.show(
+            scene.stamp, view_fields.plane_markers(scene, frames))))
 
     def _report(self, scene: SceneEstimate):
         health = self._node.health
