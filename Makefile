@@ -42,7 +42,6 @@ config: setup ## write config/*.yaml from the settings
 
 demo: setup ## render a street with known truth, run everything on it, write out/demo
 	@$(RUN) mv_slapse demo -o out/demo
-	@echo 'Look at out/demo/report.html; out/demo/results.mcap plays with `ros2 bag play` and opens in Foxglove.'
 
 test: setup ## run all tests, real ROS nodes included
 	@$(RUN) python -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
