@@ -9,7 +9,7 @@ from mv_slapse.nodes.handovers import Handovers
 from mv_slapse.nodes.health import every
 from mv_slapse.nodes.obstacle_output import ObstacleOutput
 from mv_slapse.nodes.qos import LATCHED, RELIABLE, subscribe
-from mv_slapse.nodes.scene_join import SceneJoin, SceneMemory
+from mv_slapse.nodes.scene_join import continues, SceneJoin, SceneMemory
 from mv_slapse.nodes.shell import run, Shell
 from mv_slapse.records import Label
 from mv_slapse_msgs.msg import PlaneMap, PlaneObservations
@@ -58,17 +58,24 @@ class ObstacleTrackerNode(Shell):
               plane_map: PlaneMap):
         extraction = fields.extraction_from_message(observations)
         if extraction.stamp < self._newest:
-            self.get_logger().warning('time went back (a bag played again?): starting anew')
-            self.restart()
-        self._newest = extraction.stamp
+            self._begin_anew('time went back (a bag played again?)')
         frames = self._extrinsics.frames(observations.header.frame_id)
+        before = self._memory.last
         scene = self._memory.scene(extraction, odometry, plane_map, frames)
         if scene is None:
             return
+        if not continues(before, scene):
+            self._begin_anew('the odometry jumped (was slam reset?)')
+            scene = self._memory.scene(extraction, odometry, plane_map, frames)
+        self._newest = extraction.stamp
         obstacles, given = self._tracker.step(
             extraction, scene, self._handovers.due(self._newest, frames))
         self._handovers.publish(given, frames)
         self._output.publish(extraction.stamp, obstacles, scene.scale_status, frames)
+
+    def _begin_anew(self, reason: str):
+        self.get_logger().warning(f'{reason}: starting anew')
+        self.restart()
 
 
 def main(args: list[str] | None = None) -> int:

@@ -89,22 +89,33 @@ class SceneMemory:
 
     def __init__(self):
         """Know no scene yet."""
-        self._last: SceneEstimate | None = None
+        self.last: SceneEstimate | None = None
 
     def scene(self, extraction: Extraction, odometry: Any, plane_map: Any,
               frames: RosFrames) -> SceneEstimate | None:
         """Return the scene of a key frame; without a pose the last one, None before the first."""
         if odometry is None:
             status = TrackingStatus(plane_map.tracking)
-            return self._last and replace(self._last, stamp=extraction.stamp, status=status,
+            return self.last and replace(self.last, stamp=extraction.stamp, status=status,
                                           reason=plane_map.reason, baseline=0.0)
         scene = scene_from_messages(odometry, plane_map, frames)
-        self._last = replace(scene, baseline=self._baseline(scene, extraction.previous_stamp))
-        return self._last
+        self.last = replace(scene, baseline=self._baseline(scene, extraction.previous_stamp))
+        return self.last
 
     def _baseline(self, scene: SceneEstimate, previous_stamp: int) -> float:
         """Return the distance to the pose before, by the velocity where that is not known."""
-        if self._last is not None and self._last.stamp == previous_stamp:
-            return float(np.linalg.norm(scene.t_world_from_cam - self._last.t_world_from_cam))
+        if self.last is not None and self.last.stamp == previous_stamp:
+            return float(np.linalg.norm(scene.t_world_from_cam - self.last.t_world_from_cam))
         dt = (scene.stamp - previous_stamp) / 1e9
         return float(np.linalg.norm(scene.velocity_world) * dt)
+
+
+def continues(before: SceneEstimate | None, scene: SceneEstimate) -> bool:
+    """Return whether a pose follows from the one before; it does not where slam began anew."""
+    if before is None:
+        return True
+    dt = (scene.stamp - before.stamp) / 1e9
+    speed = np.linalg.norm(before.velocity_world) + np.linalg.norm(scene.velocity_world)
+    variance = sum(np.trace(s.pose_covariance[:3, :3]) for s in (before, scene))
+    moved = np.linalg.norm(scene.t_world_from_cam - before.t_world_from_cam)
+    return bool(moved <= 3 * speed * dt + 5 * np.sqrt(variance))

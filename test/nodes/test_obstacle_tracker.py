@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 
 pytest.importorskip('rclpy')
@@ -100,6 +102,18 @@ def test_reset_forgets_the_obstacles(bench, drive):
     feeder.feed(drive)
     assert bench.spin(lambda: len(received) == 2 * N, 20)
     assert_tracked(received[N:], drive)
+
+
+def test_where_slam_begins_anew_the_obstacles_do_too(bench, drive):
+    received = bench.listen(ObstacleArray, 'obstacles')
+    bench.start(ObstacleTrackerNode, tf_wait=0.0)
+    feeder = Feeder(bench)
+    far = [(e, replace(s, t_world_from_cam=s.t_world_from_cam + (0, 0, 500)))
+           for e, s in drive[:5]]
+    feeder.feed([*far, *drive[5:]])
+    assert bench.spin(lambda: len(received) == N, 20)
+    assert received[4].obstacles
+    assert all(o.state == ObstacleState.TENTATIVE for o in received[5].obstacles)
 
 
 def test_a_plane_handed_over_by_slam_becomes_an_obstacle(bench, drive):

@@ -1,7 +1,8 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import made_up
-from mv_slapse.nodes.scene_join import SceneJoin, SceneMemory
+from mv_slapse.nodes.scene_join import continues, SceneJoin, SceneMemory
 from mv_slapse.records import TrackingStatus
 import numpy as np
 import pytest
@@ -121,3 +122,14 @@ def test_without_a_pose_the_last_scene_stands_with_its_new_status():
     lost = remember(memory, None, 300_000_000)
     assert (lost.stamp, lost.status) == (300_000_000, TrackingStatus.LOST)
     np.testing.assert_array_equal(lost.t_world_from_cam, before.t_world_from_cam)
+
+
+def test_a_pose_continues_the_one_before_as_far_as_speed_and_covariance_allow():
+    before = remember(SceneMemory(), 50.0, 100_000_000)
+    assert continues(None, before)
+    sure = {'pose_covariance': 1e-4 * np.eye(6)}
+    near = remember(SceneMemory(), 51.0, 200_000_000)
+    origin = remember(SceneMemory(), 0.0, 200_000_000)
+    assert continues(replace(before, **sure), replace(near, **sure))
+    assert not continues(replace(before, **sure), replace(origin, **sure))
+    assert continues(before, replace(origin, pose_covariance=100 * np.eye(6)))
