@@ -51,10 +51,17 @@ class DecoderSettings(Checked):
         0.1, '-', 'the same, as a share of the length of the vector', 0.0)
     min_support: float = setting(
         2.0, '-', 'least support of a vector by its own and the 8 macroblocks around', 0.0, 9.0)
-    expectation_slack: float = setting(
+    prior_votes: float = setting(
+        2.0, '-', 'support that a vector gets from the motion of the pairs before, in macroblocks',
+        0.0, 9.0)
+    prior_slack: float = setting(
+        2.0, 'px', 'how far a vector may be from that motion to get support', 0.01)
+    prior_tolerance: float = setting(
+        0.1, '-', 'the same, as a share of the expected vector', 0.0)
+    reference_slack: float = setting(
         4.0, 'px', 'how far a vector may be from the motion of the pairs before, where it may '
         'point to one of several reference pictures', 0.0)
-    expectation_tolerance: float = setting(
+    reference_tolerance: float = setting(
         0.25, '-', 'the same, as a share of the expected vector', 0.0)
     split_flow: float = setting(
         16.0, 'px', 'median motion of a segment beyond which its middle B frame is a pose of its '
@@ -122,6 +129,9 @@ class SceneSettings(Checked):
     mounting_sigma: float = setting(
         0.01, 'rad', 'standard deviation of the ground normal in a mounted camera from key frame '
         'to key frame: pitch and roll on the suspension', 1e-4, 1.0)
+    course_sigma: float = setting(
+        0.02, 'rad', 'standard deviation of a vehicle\'s course from the plane of the ground: '
+        'heave and pitch', 1e-4, 1.0)
     acceleration: float = setting(
         0.7, 'm/s^1.5', 'random walk of the velocity; with free scale a tenth of the speed is '
         'taken', 0.0)
@@ -132,9 +142,17 @@ class SceneSettings(Checked):
         'root of a thousandth of it', 0.0)
     relief: float = setting(
         0.03, '-', 'depth of a surface about its plane, as a share of depth', 0.0, 1.0)
+    depth_bias: float = setting(
+        0.04, '-', 'error of the depth of a whole surface in one pair, as a share of it: encoders '
+        'pull its vectors the same way; 3 to 6 % was measured', 0.0, 1.0)
     dependence: float = setting(
         6.0, '-', 'neighbouring motion vectors err together: so many tell as much as one '
         'independent one', 1.0)
+    ratio_sigma: float = setting(
+        0.006, '-', 'common error of the depths of one pair, as a share: 0.5 % was measured',
+        1e-4, 1.0)
+    ratio_drift: float = setting(
+        0.002, '-', 'least random walk of the scale from pair to pair', 1e-5, 1.0)
     gate: float = setting(
         16.3, '-', 'largest squared Mahalanobis distance of a plane observation, 99.9 % of '
         'chi-square with 3 degrees of freedom', 1.0)

@@ -45,29 +45,31 @@ class CorrespondenceDecoder:
                 for pair in self._pairs(segment) for ready in self._chainer.add(pair)]
 
     def _pairs(self, segment: Segment) -> list[Correspondences]:
-        """Merge a segment, in two parts where its motion is too long for direct vectors."""
-        if segment.kind is SegmentKind.BROKEN:
-            return [self._bridged(segment)]
-        whole = self._merged(segment)
-        flow = np.hypot(*(whole.x_prev - whole.x_cur).T)
-        if not segment.between or len(flow) and np.median(flow) < self._settings.split_flow:
-            pairs = [whole]
-        else:
-            pairs = [self._merged(half) for half in halves(segment, self._settings)]
+        """Merge a segment and learn from it what to expect of the next."""
+        pairs = [self._bridged(segment)] if segment.kind is SegmentKind.BROKEN else (
+            self._merged(segment))
         for pair in pairs:
             self._expect.add(pair)
         return pairs
 
+    def _merged(self, segment: Segment) -> list[Correspondences]:
+        """Merge a segment, in two parts where its motion is too long for direct vectors."""
+        whole = merge(segment, self._settings, self._expect)
+        flow = np.hypot(*(whole.x_prev - whole.x_cur).T)
+        if not segment.between or len(flow) and np.median(flow) < self._settings.split_flow:
+            return [whole]
+        return [merge(half, self._settings, self._expect)
+                for half in halves(segment, self._settings)]
+
     def _bridged(self, segment: Segment) -> Correspondences:
         """Search an I frame's macroblocks in the picture before it, or call the pair broken."""
-        if not self._settings.bridge_intra or not can_bridge(segment):
-            return _broken(segment)
-        found = search(segment, self._expect, self._settings)
-        pair = average(replace(segment, kind=SegmentKind.PP), found, self._settings)
-        return pair if len(pair) >= self._settings.bridge_minimum else _broken(segment)
-
-    def _merged(self, segment: Segment) -> Correspondences:
-        return merge(segment, self._settings, self._expect)
+        if self._settings.bridge_intra and can_bridge(segment):
+            found = search(segment, self._expect, self._settings)
+            pair = average(replace(segment, kind=SegmentKind.PP), found, self._settings)
+            if len(pair) >= self._settings.bridge_minimum:
+                return pair
+        self._expect.reset()
+        return _broken(segment)
 
 
 def _broken(segment: Segment) -> Correspondences:

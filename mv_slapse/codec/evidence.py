@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from mv_slapse.codec.motion_vectors import FrameVectors, FUTURE, PAST
-from mv_slapse.codec.prior import at, MotionPrior
+from mv_slapse.codec.prior import at
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
 from mv_slapse.records import FrameType, SegmentKind
@@ -38,25 +38,36 @@ class Evidence:
         return len(self.x_cur)
 
 
-def collect(segment: Segment, settings: DecoderSettings,
-            expect: MotionPrior | None = None) -> Evidence:
-    """Return all evidence of a segment that is not known to be wrong.
-
-    Parameters
-    ----------
-    segment : Segment
-    settings : DecoderSettings
-    expect : MotionPrior, optional
-        Tells which vectors of pictures with several references span just this segment.
-    """
+def collect(segment: Segment, settings: DecoderSettings) -> Evidence:
+    """Return all evidence of a segment, but B blocks whose two vectors contradict."""
     parts = [_indirect(segment, frame, settings) for frame in segment.between]
     if segment.current.frame_type is FrameType.P:
         parts.insert(0, _direct(segment.current))
-    evidence = _joined(parts)
-    ambiguous = max(f.references for f in (*segment.between, segment.current)) > 1
-    if expect is None or not ambiguous:
-        return evidence
-    return _one_interval(evidence, segment, settings, expect)
+    return _joined(parts)
+
+
+def is_ambiguous(segment: Segment) -> bool:
+    """Return whether some vector may point to another picture than the key frames."""
+    return max(frame.references for frame in (*segment.between, segment.current)) > 1
+
+
+def of_one_interval(evidence: Evidence, field: np.ndarray, settings: DecoderSettings) -> Evidence:
+    """Drop the vectors that rather point to another picture than key frame k-1.
+
+    FFmpeg tells the direction, not which picture (`FrameVectors.direction`). A vector to another
+    picture is longer or shorter than expected by at least a third.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    field : (rows, columns, 2) float32
+        What to expect, see `MotionPrior.field` [px].
+    settings : DecoderSettings
+    """
+    expected = at(field, evidence.x_cur)
+    gap = np.hypot(*(evidence.vector - expected).T)
+    return _take(evidence, gap < settings.reference_slack
+                 + settings.reference_tolerance * np.hypot(*expected.T))
 
 
 def _joined(parts: list[Evidence]) -> Evidence:
@@ -69,23 +80,6 @@ def _joined(parts: list[Evidence]) -> Evidence:
 def _take(evidence: Evidence, rows: np.ndarray) -> Evidence:
     return Evidence(evidence.x_cur[rows], evidence.vector[rows], evidence.variance[rows],
                     evidence.block[rows])
-
-
-def _one_interval(evidence: Evidence, segment: Segment, settings: DecoderSettings,
-                  expect: MotionPrior) -> Evidence:
-    """Drop the vectors that rather point to another picture than key frame k-1.
-
-    FFmpeg tells the direction, not which picture (ALGORITHM 2, trap 2). A vector to another
-    picture is longer or shorter than expected by at least a third.
-    """
-    seconds = (segment.current.stamp - segment.previous.stamp) * 1e-9
-    field = expect.field(seconds, evidence.x_cur, evidence.vector)
-    if field is None:
-        return evidence
-    expected = at(field, evidence.x_cur)
-    gap = np.hypot(*(evidence.vector - expected).T)
-    return _take(evidence, gap < settings.expectation_slack
-                 + settings.expectation_tolerance * np.hypot(*expected.T))
 
 
 def _direct(frame: FrameVectors) -> Evidence:

@@ -3,7 +3,7 @@
 from math import comb, sqrt
 from typing import NamedTuple
 
-from mv_slapse.codec.evidence import collect, Evidence
+from mv_slapse.codec.evidence import collect, Evidence, is_ambiguous, of_one_interval
 from mv_slapse.codec.prior import MotionPrior
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
@@ -73,13 +73,20 @@ def merge(segment: Segment, settings: DecoderSettings,
     expect : MotionPrior, optional
         What the pairs before let expect.
     """
-    return average(segment, collect(segment, settings, expect), settings)
+    evidence, field = collect(segment, settings), None
+    if expect is not None:
+        seconds = (segment.current.stamp - segment.previous.stamp) * 1e-9
+        field = expect.field(seconds, evidence.x_cur, evidence.vector)
+    if field is not None and is_ambiguous(segment):
+        evidence = of_one_interval(evidence, field, settings)
+    return average(segment, evidence, settings, field)
 
 
-def average(segment: Segment, evidence: Evidence, settings: DecoderSettings) -> Correspondences:
+def average(segment: Segment, evidence: Evidence, settings: DecoderSettings,
+            field: np.ndarray | None = None) -> Correspondences:
     """Return one correspondence for each macroblock on which the given evidence agrees."""
     frame = segment.current
-    x, vector, variance = consensus(evidence, frame.width, frame.height, settings)
+    x, vector, variance = consensus(evidence, frame.width, frame.height, settings, field)
     chance = existence(segment.kind, len(segment.between), settings.match_probability)
     return Correspondences(
         frame.stamp, segment.previous.stamp, frame.width, frame.height, segment.kind,
@@ -89,12 +96,21 @@ def average(segment: Segment, evidence: Evidence, settings: DecoderSettings) -> 
         block=np.full((len(x), 2), MACROBLOCK, np.uint8))
 
 
-def consensus(evidence: Evidence, width: int, height: int,
-              settings: DecoderSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def consensus(evidence: Evidence, width: int, height: int, settings: DecoderSettings,
+              field: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return place [px], vector [px] and variance of what each macroblock's evidence agrees on.
 
     A macroblock's evidence falls into at most two clusters; the one that the eight macroblocks
-    around support best is taken, if it has support enough.
+    around and the pairs before support best is taken, if it has support enough.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    width, height : int
+        Picture size [px].
+    settings : DecoderSettings
+    field : (rows, columns, 2) float32, optional
+        Vectors that the pairs before let expect [px].
 
     Returns
     -------
@@ -110,12 +126,27 @@ def consensus(evidence: Evidence, width: int, height: int,
     votes = np.stack(_votes([cluster.vector.reshape(*shape, 2) for cluster in clusters],
                             [cluster.mass.reshape(shape) > 0 for cluster in clusters], settings))
     votes = votes.reshape(2, -1) + [np.minimum(cluster.company, 1) for cluster in clusters]
-    cell = np.flatnonzero(np.maximum(*votes) >= settings.min_support)
-    best = votes.argmax(axis=0)[cell]
+    support = votes + [_expectation(cluster.vector, field, shape, settings)
+                       for cluster in clusters]
+    cell = np.flatnonzero(np.maximum(*support) >= settings.min_support)
+    best = support.argmax(axis=0)[cell]
     x, vector, variance, company = (
         np.stack([getattr(cluster, name) for cluster in clusters])[best, cell]
         for name in ('x', 'vector', 'variance', 'company'))
     return x, vector, variance * _doubt(votes[best, cell], company)
+
+
+def _expectation(vector: np.ndarray, field: np.ndarray | None, shape: tuple[int, int],
+                 settings: DecoderSettings) -> np.ndarray:
+    """Return how much the pairs before speak for the vector of each cell, in votes."""
+    if field is None:
+        return np.zeros(len(vector), np.float32)
+    expected = np.full((*shape, 2), -ABSENT, np.float32)
+    expected[1:-1, 1:-1] = field
+    expected = expected.reshape(-1, 2)
+    limit = settings.prior_slack + settings.prior_tolerance * np.hypot(*expected.T)
+    near = 1 - _square_gap(vector, expected) / limit ** 2
+    return np.float32(settings.prior_votes) * np.maximum(near, 0)
 
 
 def _doubt(votes: np.ndarray, company: np.ndarray) -> np.ndarray:

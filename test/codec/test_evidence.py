@@ -1,9 +1,8 @@
-from mv_slapse.codec.evidence import collect, halves
+from mv_slapse.codec.evidence import collect, halves, is_ambiguous, of_one_interval
 from mv_slapse.codec.motion_vectors import FrameVectors
-from mv_slapse.codec.prior import MotionPrior
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
-from mv_slapse.records import Correspondences, FrameType, SegmentKind
+from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
 
 WIDTH, HEIGHT = 160, 128
@@ -80,22 +79,16 @@ def test_halves_leave_out_blocks_whose_vectors_contradict():
     assert [len(collect(half, SETTINGS)) for half in halves(segment(middle), SETTINGS)] == [79, 79]
 
 
-def expectation(motion):
-    x_prev = GRID + motion
-    prior = MotionPrior()
-    prior.add(Correspondences(0, -400, WIDTH, HEIGHT, SegmentKind.PP, x_cur=GRID, x_prev=x_prev))
-    return prior
-
-
 def test_vectors_to_an_older_reference_are_left_out():
     motion = np.array([20, 0], np.float32)
     current = frame(400, FrameType.P, (-1, motion), references=3)
     current.displacement[::4] *= 2
-    kept = collect(segment(current=current), SETTINGS, expectation(motion))
+    field = np.tile(motion, (8, 10, 1))
+    kept = of_one_interval(collect(segment(current=current), SETTINGS), field, SETTINGS)
     np.testing.assert_array_equal(kept.vector, np.tile(motion, (60, 1)))
 
 
-def test_with_one_reference_no_vector_is_doubted():
-    current = frame(400, FrameType.P, (-1, MOTION))
-    current.displacement[::4] *= 9
-    assert len(collect(segment(current=current), SETTINGS, expectation(MOTION))) == 80
+def test_only_several_references_are_ambiguous():
+    assert not is_ambiguous(segment(b_frame(200)))
+    assert is_ambiguous(segment(b_frame(200, references=2)))
+    assert is_ambiguous(segment(current=frame(400, FrameType.P, (-1, MOTION), references=3)))

@@ -124,3 +124,13 @@ def test_direct_evidence_weighs_as_the_setting_says(paper, share):
     direct, indirect = lattice(lambda x: 0 * x), lattice(lambda x: 0 * x + 0.3, 2.0)
     _, vector, _ = agreed(joined(direct, indirect), DecoderSettings(paper_weights=paper))
     np.testing.assert_allclose(vector, 0.3 * (1 - share), rtol=1e-4)
+
+
+def test_a_lone_vector_needs_the_pairs_before_to_speak_for_it(rng):
+    evidence = lattice(lambda x: rng.uniform(-60, 60, x.shape))
+    field = evidence.vector.reshape(8, 10, 2)
+    x, vector, _ = merging.consensus(evidence, WIDTH, HEIGHT, SETTINGS, field)
+    assert len(x) == 80
+    np.testing.assert_allclose(vector, evidence.vector, atol=1e-4)
+    assert len(agreed(evidence)[0]) < 8
+    assert len(merging.consensus(evidence, WIDTH, HEIGHT, SETTINGS, field + 999)[0]) < 8
