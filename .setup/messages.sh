@@ -1,6 +1,6 @@
 #!/bin/sh
 # messages.sh VENV: generate the messages, and those that the tests need and no package index
-# has, into the virtual environment. Keeps the build folders, so that a change costs little.
+# has, into the virtual environment; only those that have changed.
 set -eu
 venv=$(cd "$1" && pwd)
 [ "$(cat "$venv/.ros")" != none ] || exit 0
@@ -19,6 +19,10 @@ for package in msg_defs test/interfaces/*/; do
     if installed "$name"; then
         continue
     fi
+    sum=$(find "$package" -type f | sort | xargs cksum | cksum)
+    if [ "$(cat "$venv/build/$name.sum" 2>/dev/null)" = "$sum" ]; then
+        continue
+    fi
     echo "mv_slapse set-up: generating the messages of $package"
     if ! "$venv/bin/python" setup.py -q interfaces --source "$package" --prefix "$venv" \
             --build "$venv/build/$name" >"$venv/messages.log" 2>&1; then
@@ -26,4 +30,5 @@ for package in msg_defs test/interfaces/*/; do
         echo "mv_slapse set-up: the messages of $package could not be built" >&2
         exit 1
     fi
+    echo "$sum" >"$venv/build/$name.sum"
 done
