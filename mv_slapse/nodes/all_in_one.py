@@ -62,8 +62,10 @@ class AllInOneNode(Shell):
         super().destroy_node()
 
     def _core_settings(self) -> Settings:
-        kinds = DecoderSettings, ExtractionSettings, SceneSettings, ObstacleSettings
-        return Settings(*(self.settings[kind] for kind in kinds))
+        return Settings(decoder=self.settings[DecoderSettings],
+                        extraction=self.settings[ExtractionSettings],
+                        scene=self.settings[SceneSettings],
+                        obstacles=self.settings[ObstacleSettings])
 
     def _on_camera(self, camera: Camera):
         self._camera = camera

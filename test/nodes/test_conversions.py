@@ -1,7 +1,10 @@
+import dataclasses
+
 import made_up
 from mv_slapse import fields
 from mv_slapse.errors import UnusableInput
 from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.records import Extraction
 import numpy as np
 import pytest
 
@@ -58,6 +61,13 @@ def test_extractions_arrive_with_their_planes(rng):
     assert len(back.planes) == 2
     for plane, expected in zip(back.planes, record.planes, strict=True):
         assert_same(plane, expected)
+
+
+def test_every_number_of_an_extraction_travels(rng):
+    numbers = {f.name: 1.25 for f in dataclasses.fields(Extraction) if f.type is float}
+    record = dataclasses.replace(made_up.extraction(rng), **numbers)
+    assert_same(fields.extraction_from_message(over_the_wire(
+        messages.PlaneObservations, fields.extraction_to_fields(record, FRAMES))), record)
 
 
 def test_a_scene_arrives_as_odometry_and_map(rng):
