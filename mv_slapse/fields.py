@@ -99,6 +99,8 @@ def extraction_to_fields(record: Extraction, frames: RosFrames) -> Fields:
         'motion_status': int(motion.status), 'rotation': _flat(motion.R_cur_from_prev),
         'translation': _flat(motion.t_cur_from_prev),
         'motion_covariance': _flat(motion.covariance), 'forward': bool(motion.forward),
+        'baseline_ratio': float(record.baseline_ratio),
+        'baseline_ratio_sigma': float(record.baseline_ratio_sigma),
         'planes': [_observation_to_fields(plane) for plane in record.planes],
         **_point_columns(record),
         'label': _column(record.label, np.int8),
@@ -116,7 +118,8 @@ def extraction_from_message(msg: Any) -> Extraction:
         int(msg.width), int(msg.height), SegmentKind(msg.kind), _matrix(msg.k, 3), motion,
         tuple(_observation_from_message(plane) for plane in msg.planes), msg.reason,
         label=_column(msg.label, np.int8), plane_id=_column(msg.plane_id, np.int32),
-        **_points_of(msg))
+        baseline_ratio=float(msg.baseline_ratio),
+        baseline_ratio_sigma=float(msg.baseline_ratio_sigma), **_points_of(msg))
 
 
 def odometry_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:

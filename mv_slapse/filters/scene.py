@@ -20,6 +20,7 @@ from mv_slapse.records import (
 import numpy as np
 
 UP_CAM = np.array([0.0, -1.0, 0.0])
+GROUND_PATIENCE = 5  # key frames
 FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
 
 
@@ -30,6 +31,7 @@ class Progress:
     stamp: int
     supported: int | None = None
     metric: bool = False
+    ground_misses: int = 0
 
 
 class SceneFilter:
@@ -127,23 +129,38 @@ class SceneFilter:
         """Update with the pair's correspondences and with what is known of the scale."""
         settings, first = self._settings, self._progress.supported is None
         baseline = self._baseline(extraction)
-        known = scene_gate.consistent(self._state, extraction, settings.gate,
-                                      settings.dependence)
-        ids = self._join(extraction, known, baseline)
+        known = scene_gate.consistent(self._state, extraction, settings)
+        ground = self._trusted_ground(extraction, known)
+        ids = self._join(extraction, known, ground, baseline)
         pair, index = _observation(extraction, ids)
         self._state = scene_update.correspondences(
-            self._state, self._linearisation(extraction, baseline), pair, index, ids,
-            settings.relief, settings.dependence, settings.iterations)
-        ground = scene_gate.ground_of(extraction)
-        self._fix_scale(ground if ground in ids else None, first)
+            self._state, self._linearisation(extraction, baseline), pair, index, ids, settings)
+        ratio_known = self._carry_scale(extraction)
+        self._fix_scale(ground, first)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
-        if first or known:
+        if first or known or ratio_known:
             self._progress.supported = extraction.stamp
             return TrackingStatus.OK, ''
         return self._unsupported(
             extraction.stamp, 'no known plane is in view: the direction of the way is observed, '
             'its length is predicted')
+
+    def _trusted_ground(self, extraction: Extraction, known: set[int]) -> int | None:
+        """Return the ground's id, None where it is not seen or contradicts the map.
+
+        The ground sets the scale, so one that contradicts the map must do so for a while before
+        it is believed.
+        """
+        ground, state = scene_gate.ground_of(extraction), self._state
+        if ground is None or ground in known or ground not in state.planes:
+            self._progress.ground_misses = 0 if ground in known else self._progress.ground_misses
+            return ground
+        self._progress.ground_misses += 1
+        if self._progress.ground_misses <= GROUND_PATIENCE:
+            return None
+        self._progress.ground_misses = 0
+        return ground
 
     def _baseline(self, extraction: Extraction) -> float:
         """Return the best guess of the distance between the pair's key frames [map unit]."""
@@ -160,7 +177,8 @@ class SceneFilter:
             return metric
         return guess if progress.supported is not None and guess > 1e-9 else 1.0
 
-    def _join(self, extraction: Extraction, known: set[int], baseline: float) -> list[int]:
+    def _join(self, extraction: Extraction, known: set[int], ground: int | None,
+              baseline: float) -> list[int]:
         """Return the planes to update, after putting new and lost ones in afresh.
 
         A plane comes in with next to no prior; its correspondences then determine it, together
@@ -168,7 +186,7 @@ class SceneFilter:
         """
         state, ids = self._state, []
         for plane in extraction.planes:
-            if plane.label != Label.STATIONARY:
+            if plane.label != Label.STATIONARY or plane.is_ground and plane.id != ground:
                 continue
             if plane.id not in known:
                 if plane.id in state.planes:
@@ -187,6 +205,17 @@ class SceneFilter:
         shown = replace(state, current=Pose(R_world_from_cam, t_world))
         return state.error_to(shown)
 
+    def _carry_scale(self, extraction: Extraction) -> bool:
+        """Observe the baseline against the one before; return whether that was possible."""
+        settings, sampling = self._settings, extraction.baseline_ratio_sigma
+        if not np.isfinite(sampling) or self._progress.supported is None:
+            scene_state.begin_depth_scale(self._state, settings.ratio_sigma)
+            return False
+        sampling = np.hypot(sampling * np.sqrt(settings.dependence), settings.ratio_drift)
+        self._state, _ = scene_update.baseline_ratio(
+            self._state, extraction.baseline_ratio, sampling, settings.ratio_sigma)
+        return True
+
     def _fix_scale(self, ground: int | None, first: bool):
         """Observe the camera's height above the ground, or settle the gauge."""
         settings = self._settings
@@ -195,6 +224,7 @@ class SceneFilter:
             self._state, _ = scene_update.camera_height(
                 self._state, ground, height, settings.camera_height_sigma * height)
             self._state, _ = scene_update.mounting(self._state, ground, settings.mounting_sigma)
+            self._state, _ = scene_update.level_course(self._state, settings.course_sigma)
         elif first:
             self._state, _ = scene_update.unit_baseline(self._state, 1e-3)
 

@@ -1,5 +1,6 @@
 """Which planes of the map a new extraction may correct."""
 
+from mv_slapse.config import SceneSettings
 from mv_slapse.filters.scene_state import (
     plane_in_camera,
     plane_in_camera_jacobian,
@@ -21,15 +22,15 @@ def ground_plane(extraction: Extraction) -> np.ndarray | None:
     return next((plane.plane for plane in extraction.planes if plane.is_ground), None)
 
 
-def consistent(state: SceneState, extraction: Extraction, gate: float,
-               dependence: float) -> set[int]:
+def consistent(state: SceneState, extraction: Extraction, settings: SceneSettings) -> set[int]:
     """Return the ids of known planes whose observation agrees with the predicted state."""
     return {plane.id for plane in extraction.planes
             if plane.label == Label.STATIONARY and plane.id in state.planes
-            and squared_distance(state, plane, dependence) < gate}
+            and squared_distance(state, plane, settings) < settings.gate}
 
 
-def squared_distance(state: SceneState, plane: PlaneObservation, dependence: float) -> float:
+def squared_distance(state: SceneState, plane: PlaneObservation,
+                     settings: SceneSettings) -> float:
     """Squared Mahalanobis distance between a plane seen and the map's, in baseline units.
 
     The observation is plane_in_camera * |t|: two views know a plane only up to their baseline.
@@ -46,6 +47,7 @@ def squared_distance(state: SceneState, plane: PlaneObservation, dependence: flo
     direction = np.outer(in_camera, t / length)
     H[:, state.at('previous')] = direction @ by_previous[3:]
     H[:, state.at('current')] = by_pose * length + direction @ by_current[3:]
-    S = H @ state.P @ H.T + plane.covariance * dependence
+    biased = settings.depth_bias * plane.plane
+    S = H @ state.P @ H.T + plane.covariance * settings.dependence + np.outer(biased, biased)
     innovation = plane.plane - in_camera * length
     return float(innovation @ np.linalg.solve(S, innovation))

@@ -40,7 +40,8 @@ class SceneState:
     """Nominal values and the covariance of their errors.
 
     Errors: of a pose (theta [rad] in the camera, position in {W}); of velocity and planes
-    additive; of ``mount``, the ground normal as the camera is mounted, additive.
+    additive; of ``mount``, the ground normal as the camera is mounted, and of ``depth_scale``, the
+    log of the baseline that the depths of the last pair amount to, additive.
     """
 
     previous: Pose
@@ -48,6 +49,7 @@ class SceneState:
     velocity: np.ndarray
     omega: np.ndarray
     mount: np.ndarray
+    depth_scale: float = 0.0
     planes: dict[int, AnchoredPlane] = field(default_factory=dict)
     error: ekf.State = field(default_factory=ekf.State)
 
@@ -83,7 +85,7 @@ class SceneState:
         mount = self.mount + e[self.at('mount')]
         return SceneState(pose['previous'], pose['current'], self.velocity + e[self.at('velocity')],
                           self.omega + e[self.at('omega')], mount / np.linalg.norm(mount),
-                          planes, self.error)
+                          self.depth_scale + float(e[self.at('depth_scale')][0]), planes, self.error)
 
     def _moved_pose(self, name: str, e: np.ndarray) -> Pose:
         pose = getattr(self, name)
@@ -108,6 +110,7 @@ def start(mount: np.ndarray, velocity_sigma: float, omega_sigma: float,
     state.error.add('velocity', np.zeros(3), np.eye(3) * velocity_sigma**2)
     state.error.add('omega', np.zeros(3), np.eye(3) * omega_sigma**2)
     state.error.add('mount', np.zeros(3), np.eye(3) * mount_sigma**2)
+    state.error.add('depth_scale', np.zeros(1), np.zeros((1, 1)))
     return state
 
 
@@ -199,7 +202,30 @@ def scale_lengths(state: SceneState, factor: float):
         getattr(state, name).t *= factor
     D[state.at('velocity')] = factor
     state.velocity = state.velocity * factor
+    state.depth_scale += np.log(factor)
     for id, plane in state.planes.items():
         D[state.at(id)] = 1 / factor
         plane.plane, plane.anchor = plane.plane / factor, plane.anchor * factor
     state.error.P = D[:, None] * state.error.P * D
+
+
+def log_baseline(state: SceneState) -> tuple[float, np.ndarray]:
+    """Return the log of the distance between the two poses and its derivative (n,)."""
+    prev, cur = state.at('previous'), state.at('current')
+    offset = state.current.t - state.previous.t
+    square = max(float(offset @ offset), 1e-18)
+    H = np.zeros(state.size)
+    H[cur.start + 3:cur.stop] = offset / square
+    H[prev.start + 3:prev.stop] = -offset / square
+    return 0.5 * np.log(square), H
+
+
+def begin_depth_scale(state: SceneState, sigma: float):
+    """Set the scale of the depths to the baseline, which they amount to but for sigma."""
+    state.depth_scale, H = log_baseline(state)
+    F = np.eye(state.size)
+    at = state.at('depth_scale')
+    F[at] = H
+    Q = np.zeros_like(F)
+    Q[at, at] = sigma**2
+    ekf.predict(state.error, state.error.mu, F, Q)

@@ -5,11 +5,14 @@ update is the maximum of the posterior, found by a few relinearised steps (an it
 each correspondence is used once.
 """
 
+from mv_slapse.config import SceneSettings
 from mv_slapse.filters.scene_state import (
+    log_baseline,
     observation_jacobian,
     plane_in_camera,
     plane_in_camera_jacobian,
     relative_motion,
+    relative_motion_jacobian,
     SceneState,
 )
 from mv_slapse.geometry import two_view
@@ -17,7 +20,7 @@ import numpy as np
 
 
 def correspondences(state: SceneState, start: np.ndarray, pair: two_view.Pair, index: np.ndarray,
-                    ids: list[int], relief: float, dependence: float, steps: int) -> SceneState:
+                    ids: list[int], settings: SceneSettings) -> SceneState:
     """Update with the correspondences of one key frame pair, (19) of [SLAPSE].
 
     Parameters
@@ -30,12 +33,7 @@ def correspondences(state: SceneState, start: np.ndarray, pair: two_view.Pair, i
         Stationary correspondences.
     index : (N,) int array
         Position in ``ids`` of the plane of each correspondence, -1 for none.
-    relief : float
-        See two_view.plane_terms.
-    dependence : float
-        Correspondences that together tell as much as one independent one does.
-    steps : int
-        Relinearisations.
+    settings : SceneSettings
 
     Returns
     -------
@@ -43,13 +41,14 @@ def correspondences(state: SceneState, start: np.ndarray, pair: two_view.Pair, i
         Updated values and covariance.
     """
     e, moved = start, state.moved(start)
-    for step in range(steps):
+    for step in range(settings.iterations):
         R, t = relative_motion(moved)
         planes = np.array([plane_in_camera(moved, id) for id in ids]).reshape(-1, 3)
-        A, b, _ = two_view.normal_equations(pair, R, t, planes, index, relief,
-                                            width=6.0 if step == 0 else 3.0)
+        A, b, _ = two_view.normal_equations(
+            pair, R, t, planes, index, settings.relief, width=6.0 if step == 0 else 3.0,
+            bias=settings.depth_bias, dependence=settings.dependence)
         G = observation_jacobian(moved, ids)
-        information, vector = G.T @ A @ G / dependence, G.T @ b / dependence
+        information, vector = G.T @ A @ G, G.T @ b
         L = np.linalg.inv(np.eye(state.size) + state.P @ information)
         e_new = L @ state.P @ (vector + information @ e)
         moved = state.moved(e_new)
@@ -108,3 +107,40 @@ def unit_baseline(state: SceneState, sigma: float):
     H[0, state.at('current').start + 3:state.at('current').stop] = offset / length
     H[0, state.at('previous').start + 3:state.at('previous').stop] = -offset / length
     return linear(state, np.array([1 - length]), H, np.eye(1) * sigma**2)
+
+
+def baseline_ratio(state: SceneState, log_ratio: float, ratio_sigma: float, sigma: float):
+    """Update with log(|t| now / |t| of the pair before), see planes.scale.
+
+    The depths of the pair before have a common error, which this ratio holds with the opposite
+    sign of the next: such errors must not add up. So the scale of the depths is a state, moved by
+    the ratio, and the baseline equals it but for the pair's own common error.
+
+    Parameters
+    ----------
+    log_ratio, ratio_sigma : float
+        The ratio and its sampling error.
+    sigma : float
+        Common error of the depths of one pair, as a share.
+    """
+    at = state.at('depth_scale')
+    state.depth_scale += log_ratio
+    state.error.P[at, at] += ratio_sigma**2
+    value, H = log_baseline(state)
+    H = -H
+    H[at] = 1
+    return linear(state, np.array([value - state.depth_scale]), H[None], np.eye(1) * sigma**2)
+
+
+def level_course(state: SceneState, sigma: float):
+    """Update with a vehicle's course lying in the ground: mount . t = 0 but for sigma [rad]."""
+    R, t = relative_motion(state)
+    length = np.linalg.norm(t)
+    by_previous, by_current = relative_motion_jacobian(state)
+    direction = t / length
+    by_t = (state.mount - (state.mount @ direction) * direction) / length
+    H = np.zeros((1, state.size))
+    H[0, state.at('previous')] = by_t @ by_previous[3:]
+    H[0, state.at('current')] = by_t @ by_current[3:]
+    H[0, state.at('mount')] = direction
+    return linear(state, np.array([-state.mount @ direction]), H, np.eye(1) * sigma**2)

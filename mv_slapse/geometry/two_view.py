@@ -99,7 +99,22 @@ def plane_weights(pair: Pair, R, predicted, relief: float) -> np.ndarray:
     return (np.eye(2) - gain[:, None, None] * outer) / variance[:, None, None]
 
 
-def normal_equations(pair: Pair, R, t, planes, index, relief: float, width: float):
+def without_bias(A: np.ndarray, b: np.ndarray, plane: np.ndarray, bias: float):
+    """Marginalise a common scale error of a plane's parallax out of its normal equations.
+
+    Encoders pull all vectors of a surface the same way, so that its depth errs as a whole by a
+    share s ~ N(0, bias^2) that does not average out over its blocks. With (1 + s) plane for
+    plane, s is a tenth unknown with a prior; its Schur complement remains.
+    """
+    if not bias:
+        return A, b
+    column = A[:, 6:] @ plane
+    own = plane @ column[6:] + 1 / bias**2
+    return A - np.outer(column, column) / own, b - column * (plane @ b[6:]) / own
+
+
+def normal_equations(pair: Pair, R, t, planes, index, relief: float, width: float, *,
+                     bias: float = 0.0, dependence: float = 1.0):
     """Normal equations of (10) by (w, t, plane 0, plane 1, ...).
 
     Parameters
@@ -108,6 +123,12 @@ def normal_equations(pair: Pair, R, t, planes, index, relief: float, width: floa
         n / d in camera k.
     index : (N,) int array
         Plane of each correspondence; -1: epipolar error only.
+    relief, width : float
+        See plane_terms.
+    bias : float
+        See without_bias.
+    dependence : float
+        Correspondences that together tell as much as one independent one does.
 
     Returns
     -------
@@ -118,8 +139,10 @@ def normal_equations(pair: Pair, R, t, planes, index, relief: float, width: floa
     size = 6 + 3 * len(planes)
     A, b = np.zeros((size, size)), np.zeros(size)
     A[:6, :6], b[:6], cost = epipolar_terms(pair[index < 0], R, t, width)
+    A, b = A / dependence, b / dependence
     for i, plane in enumerate(planes):
         A_i, b_i, cost_i = plane_terms(pair[index == i], R, t, plane, relief, width)
+        A_i, b_i = without_bias(A_i / dependence, b_i / dependence, plane, bias)
         at = np.r_[0:6, 6 + 3 * i:9 + 3 * i]
         A[np.ix_(at, at)] += A_i
         b[at] += b_i

@@ -5,10 +5,19 @@ from dataclasses import dataclass, replace
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry import epipolar, two_view
 from mv_slapse.geometry.camera import Camera, to_rays, undistort
-from mv_slapse.planes import camera_motion, extraction, ground, labeling, lattice, refinement
+from mv_slapse.planes import (
+    camera_motion,
+    extraction,
+    ground,
+    labeling,
+    lattice,
+    refinement,
+    scale,
+)
 from mv_slapse.planes.camera_motion import MotionFit
 from mv_slapse.planes.consensus import Depths
 from mv_slapse.planes.extraction import PlaneFit
+from mv_slapse.planes.ground import GroundPrior, GroundTrack, Mount
 from mv_slapse.records import (
     CameraMotion,
     Correspondences,
@@ -29,10 +38,11 @@ class Memory:
     stamp: int | None = None
     motion: MotionFit | None = None
     grid: np.ndarray | None = None
-    ground_id: int = -1
-    ground_normal: np.ndarray | None = None
+    previous_stamp: int | None = None
+    ground: GroundTrack = GroundTrack(Mount())
     noise: float = 1.0
     next_id: int = 0
+    depths: scale.DepthMap | None = None
 
 
 class PlaneExtractor:
@@ -42,7 +52,8 @@ class PlaneExtractor:
         """Start without memory of any plane."""
         self._camera = camera
         self._settings = settings
-        self._memory = Memory()
+        self._memory = Memory(ground=GroundTrack(Mount(
+            spread=settings.ground_tilt, widest=settings.ground_tilt)))
         self._rules = extraction.Rules(
             settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
             settings.max_planes, settings.max_uncertainty)
@@ -66,9 +77,12 @@ class PlaneExtractor:
                                      settings.relief)
         if evidence.epipolar_inlier.mean() < settings.min_inliers:
             return replace(blank, reason=_disagreement(evidence))
-        planes = self._planes(blank, pair, evidence, fit)
+        ratio = self._ratio(blank, pair, evidence, fit)
+        floor = self._ground_prior(blank, fit, ratio)
+        planes = self._planes(blank, pair, evidence, floor)
         fit, planes, evidence = self._refined(pair, fit, planes, evidence)
-        return self._remember(blank, pair, fit, planes, evidence, noise)
+        blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
+        return self._remember(blank, pair, fit, planes, evidence, noise, floor)
 
     def _pair(self, correspondences: Correspondences) -> two_view.Pair:
         """Undistort; columns are rounded to float32 as messages hold them."""
@@ -114,30 +128,43 @@ class PlaneExtractor:
         t, _ = labeling.orient(pair, best.R_cur_from_prev, best.t_cur_from_prev)
         return replace(best, t_cur_from_prev=t)
 
-    def _planes(self, blank, pair, evidence, fit) -> list[PlaneFit]:
+    def _planes(self, blank, pair, evidence, ground_prior) -> list[PlaneFit]:
         """Find the ground, then known planes, then new ones, among stationary blocks."""
         rng = np.random.default_rng(self._settings.seed)
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
         free = evidence.epipolar_inlier & ~evidence.at_infinity & ~evidence.backward
         found = []
-        normal, tilt = self._ground_prior(fit)
-        floor = ground.find_ground(depths, free, normal, tilt, self._rules, rng)
+        floor = ground.find_ground(depths, free, ground_prior, self._rules, rng)
         if floor is not None:
-            found.append(replace(floor, id=self._memory.ground_id))
+            found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
         prior_id = self._prior_id(blank)
-        prior_id[prior_id == self._memory.ground_id] = -1
+        prior_id[prior_id == self._memory.ground.id] = -1
         found += extraction.known_planes(depths, free, prior_id, self._rules, rng)
         for plane in found:
             free = free & ~plane.member
         room = self._rules.max_planes - len(found)
         return found + extraction.new_planes(depths, free, room, self._rules, rng)
 
-    def _ground_prior(self, fit: MotionFit):
-        """Return the expected ground normal in camera k and its standard deviation [rad]."""
-        if self._memory.ground_normal is None:
-            return ground.UP_CAM, self._settings.ground_tilt
-        return (fit.R_cur_from_prev @ self._memory.ground_normal, self._settings.ground_wobble)
+    def _ratio(self, blank, pair, evidence, fit) -> scale.BaselineRatio:
+        """Compare this pair's baseline with the last one's."""
+        memory = self._memory
+        if memory.depths is None or memory.stamp != blank.previous_stamp:
+            return scale.BaselineRatio()
+        usable = _with_depth(evidence, self._settings)
+        return scale.baseline_ratio(memory.depths, blank.x_prev, pair.rays_cur, evidence.rho,
+                                    evidence.sigma_rho, usable, fit.R_cur_from_prev,
+                                    fit.t_cur_from_prev)
+
+    def _ground_prior(self, blank, fit: MotionFit, ratio) -> GroundPrior:
+        """Predict the ground; with unknown baseline ratio at an unchanged speed."""
+        memory, log, sigma = self._memory, ratio.log, ratio.sigma
+        if memory.stamp is not None and not np.isfinite(sigma):
+            log = np.log((blank.stamp - blank.previous_stamp)
+                         / (memory.stamp - memory.previous_stamp))
+            sigma = 0.15  # 1.3 m/s at 30 km/h: a hard brake over one dead segment
+        return memory.ground.prior(fit.R_cur_from_prev, fit.t_cur_from_prev, log, sigma,
+                                   self._settings.ground_wobble)
 
     def _prior_id(self, blank: Extraction) -> np.ndarray:
         """Return the plane id that the previous key frame had where each block comes from."""
@@ -164,7 +191,7 @@ class PlaneExtractor:
                                      settings.relief)
         return fit, planes, evidence
 
-    def _remember(self, blank, pair, fit, planes, evidence, noise) -> Extraction:
+    def _remember(self, blank, pair, fit, planes, evidence, noise, prior) -> Extraction:
         """Give ids, write the labels down and keep what the next pair needs."""
         label = np.full(len(pair), Label.UNKNOWN, np.int8)
         label[evidence.epipolar_inlier & ~evidence.backward] = Label.STATIONARY
@@ -180,14 +207,20 @@ class PlaneExtractor:
                 is_ground=plane.is_ground,
                 n_macroblocks=lattice.count_macroblocks(blank.x_cur[plane.member])))
         floor = next((plane for plane in observations if plane.is_ground), None)
-        normal, _ = self._ground_prior(fit)
-        if floor is not None:
-            normal = floor.plane / np.linalg.norm(floor.plane)
+        wobble, track = self._settings.ground_wobble, self._memory.ground
+        track = replace(track, mount=track.mount.learned(fit.t_cur_from_prev, wobble))
+        if floor is None:
+            track = track.missed(prior)
+        else:
+            spread = np.sqrt(floor.plane @ floor.covariance @ floor.plane) / (
+                floor.plane @ floor.plane)
+            track = track.seen(floor.id, floor.plane, spread)
         self._memory = Memory(
             blank.stamp, fit,
             lattice.paint(blank.width, blank.height, blank.x_cur, blank.block, plane_id),
-            floor.id if floor else self._memory.ground_id,
-            normal if floor or self._memory.ground_normal is not None else None, noise, next_id)
+            blank.previous_stamp, track, noise, next_id,
+            scale.depth_map(blank.width, blank.height, blank.x_cur, blank.block, evidence.rho,
+                            evidence.sigma_rho, _with_depth(evidence, self._settings)))
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev,
                               fit.covariance, bool(fit.t_cur_from_prev[2] < 0))
         return replace(blank, motion=motion, planes=tuple(observations), label=label,
@@ -198,6 +231,12 @@ def _too_few(pair) -> str:
     """Say why a pair cannot be used, or nothing."""
     n, least = len(pair), camera_motion.MIN_CORRESPONDENCES
     return '' if n >= least else f'{n} motion vectors, at least {least} are needed'
+
+
+def _with_depth(evidence, settings) -> np.ndarray:
+    """Return the mask of stationary blocks whose parallax makes a depth."""
+    return (evidence.epipolar_inlier & ~evidence.backward
+            & ~evidence.at_infinity & (evidence.rho > 0))
 
 
 def _disagreement(evidence) -> str:

@@ -5,15 +5,128 @@ in the lower picture may be a wrong one. What is known helps: its normal hardly 
 key frame to the next, and next to nothing lies below it.
 """
 
+from dataclasses import dataclass
+
+from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.planes import consensus, lattice
 from mv_slapse.planes.consensus import Depths
 from mv_slapse.planes.extraction import gather, PlaneFit, Rules
 import numpy as np
 
-UP_CAM = np.array([0.0, -1.0, 0.0])  # a level camera: optical axes have y down
+UP_CAM = (0.0, -1.0, 0.0)  # a level camera: optical axes have y down
+HEIGHT_WOBBLE = 0.02  # change of log(height) between key frames: suspension and slope
+FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for afresh
+DEPENDENCE = 10.0  # blocks of road that tell as much as one: what stands on it errs one way
+MAX_BLUR = 0.07  # standard deviation of a block's depth, as a share of it
+MIN_DROP = 0.03  # rad below the horizon: nearer to it a block tells nothing of the height
+LEARNING = 0.1  # share that one key frame has in the learned mounting
 
 
-def find_ground(depths: Depths, free: np.ndarray, normal: np.ndarray, tilt: float, rules: Rules,
+@dataclass(frozen=True)
+class Mount:
+    """How the camera sits above the ground: mean of its normal in the camera, and spread [rad],
+    which never exceeds ``widest``.
+
+    The spread is learned: small for a camera bolted to a car, large for one carried by hand.
+    """
+
+    direction: tuple[float, float, float] = UP_CAM
+    spread: float = 0.07
+    widest: float = 0.07
+
+    @property
+    def normal(self) -> np.ndarray:
+        """Return the mean normal (3,), up."""
+        return np.array(self.direction)
+
+    def learned(self, course: np.ndarray, least: float) -> 'Mount':
+        """Return the mount after one more course, a unit vector (3,) in the camera.
+
+        A vehicle moves along the ground, so the normal is normal to every course; its pitch is
+        known from there far better than from the ground itself (0.4 deg of scatter against 2 as
+        measured). One that climbs makes the spread grow, and the ground's own tilt counts.
+        """
+        off = float(self.normal @ course)
+        mean = self.normal - LEARNING * off * course
+        mean /= np.linalg.norm(mean)
+        spread = np.sqrt(self.spread**2 + LEARNING * (off**2 - self.spread**2))
+        return Mount(tuple(mean), float(np.clip(spread, least, self.widest)), self.widest)
+
+
+@dataclass(frozen=True)
+class GroundPrior:
+    """What is expected of the ground in camera k.
+
+    Attributes
+    ----------
+    normal : (3,) array
+        Unit normal, up.
+    tilt : float
+        Standard deviation of its direction [rad].
+    inverse_depth : float
+        1 / d [1/baseline].
+    spread : float
+        Standard deviation of log(d); infinite: nothing is known.
+    """
+
+    normal: np.ndarray
+    tilt: float
+    inverse_depth: float = 1.0
+    spread: float = np.inf
+
+    def distance(self, planes: np.ndarray) -> np.ndarray:
+        """Squared Mahalanobis distance of planes (N, 3); infinite for what faces down."""
+        length = np.linalg.norm(planes, axis=1)
+        angle = np.arccos(np.clip(planes @ self.normal / length, -1, 1))
+        return (np.square(angle / self.tilt)
+                + np.square(np.log(length / self.inverse_depth) / self.spread))
+
+    def information(self, plane: np.ndarray):
+        """Return the prior's mean (3,) and information (3, 3) about a plane (3,)."""
+        length, n = np.linalg.norm(plane), self.normal
+        radial = 0.0 if np.isinf(self.spread) else 1 / (self.inverse_depth * self.spread) ** 2
+        mean = n * (length if np.isinf(self.spread) else self.inverse_depth)
+        tangential = 1 / (length * self.tilt) ** 2
+        return mean, tangential * (np.eye(3) - np.outer(n, n)) + radial * np.outer(n, n)
+
+
+@dataclass(frozen=True)
+class GroundTrack:
+    """The ground from key frame to key frame, in the units of the last pair's baseline.
+
+    ``spread`` is the standard deviation of log(depth); infinite before the ground is found.
+    """
+
+    mount: Mount
+    id: int = -1
+    plane: np.ndarray | None = None
+    spread: float = np.inf
+
+    def prior(self, R, t, ratio: float, ratio_sigma: float, wobble: float) -> GroundPrior:
+        """Predict the ground through X_cur = R X_prev + t, |t| = 1 = exp(ratio) old baselines."""
+        if self.plane is None:
+            return GroundPrior(self.mount.normal, self.mount.spread)
+        moved = plane_geometry.transform(self.plane * np.exp(ratio), R, t)
+        inverse_depth = np.linalg.norm(moved)
+        expected = moved / inverse_depth / wobble**2 + self.mount.normal / self.mount.spread**2
+        tilt = (1 / wobble**2 + 1 / self.mount.spread**2) ** -0.5
+        # Suspension and slope change the height by a few per cent between key frames.
+        spread = np.sqrt(self.spread**2 + ratio_sigma**2 + HEIGHT_WOBBLE**2)
+        return GroundPrior(expected / np.linalg.norm(expected), tilt, inverse_depth, spread)
+
+    def seen(self, id: int, plane: np.ndarray, spread: float) -> 'GroundTrack':
+        """Return the track after the ground was found."""
+        return GroundTrack(self.mount, id, plane, spread)
+
+    def missed(self, prior: GroundPrior) -> 'GroundTrack':
+        """Return the track after it was not; in the end it is looked for afresh."""
+        if self.plane is None or prior.spread > FORGOTTEN:
+            return GroundTrack(self.mount, self.id)
+        return GroundTrack(self.mount, self.id, prior.normal * prior.inverse_depth,
+                           np.hypot(prior.spread, 2 * HEIGHT_WOBBLE))
+
+
+def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rules,
                 rng: np.random.Generator) -> PlaneFit | None:
     """Find the ground among stationary blocks.
 
@@ -22,48 +135,46 @@ def find_ground(depths: Depths, free: np.ndarray, normal: np.ndarray, tilt: floa
     depths : Depths
     free : (N,) bool array
         Stationary blocks that are not at infinity.
-    normal : (3,) array
-        Expected unit normal, up, in camera k.
-    tilt : float
-        Standard deviation of its direction [rad]; beyond three of them it is not the ground.
+    prior : GroundPrior
+        Beyond three standard deviations of it nothing is the ground.
 
     Returns
     -------
     fit : PlaneFit or None
         None where too few blocks agree, or too many lie below.
     """
-    drop = -depths.rays @ normal
-    below_horizon = free & (drop > 0.03) & (depths.rho > 0)
+    drop = -depths.rays @ prior.normal
+    below_horizon = free & (drop > MIN_DROP) & (depths.rho > 0)
     sample = depths[below_horizon]
     if lattice.count_macroblocks(sample.x) < rules.min_macroblocks:
         return None
-    level = normal * (sample.rho / drop[below_horizon])[:, None]
+    level = prior.normal * (sample.rho / drop[below_horizon])[:, None]
     level = level[rng.integers(len(level), size=rules.trials)]
     tilted = consensus.sample_planes(sample, 4 * rules.radius, rules.trials, rng)
     hypotheses = np.vstack([level, tilted])
-    angle = _angle(hypotheses, normal) / tilt
-    hypotheses, angle = hypotheses[angle < 3], angle[angle < 3]
-    plane, _ = consensus.best_plane(sample, hypotheses, rules.cut, prior=angle**2)
+    distance = prior.distance(hypotheses)
+    near = distance < 9
+    plane, _ = consensus.best_plane(sample, hypotheses[near], rules.cut, prior=distance[near])
     if plane is None:
         return None
-    information = _direction_information(plane, normal, tilt)
     for _ in range(2):
+        mean, information = prior.information(plane)
         plane, covariance = consensus.refine_plane(
-            sample, plane, prior_plane=normal * np.linalg.norm(plane),
-            prior_information=information)
-    member = gather(depths, plane, below_horizon, rules)
-    n = lattice.count_macroblocks(depths.x[member])
+            sample[_sharp(sample, plane)], plane, prior_plane=mean,
+            prior_information=DEPENDENCE * information)
+    member = gather(depths, plane, below_horizon & _sharp(depths, plane), rules)
     below = np.sum(sample.error(plane) < -rules.cut)
-    if n < rules.min_macroblocks or below > member.sum() or plane @ normal <= 0:
+    if (lattice.count_macroblocks(depths.x[member]) < rules.min_macroblocks
+            or below > member.sum() or prior.distance(plane[None])[0] > 9):
         return None
     return PlaneFit(plane, covariance, member, is_ground=True)
 
 
-def _angle(planes: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Angle [rad] between planes (N, 3) and a unit normal."""
-    return np.arccos(np.clip(planes @ normal / np.linalg.norm(planes, axis=1), -1, 1))
+def _sharp(depths: Depths, plane: np.ndarray) -> np.ndarray:
+    """Return the blocks (N,) whose depth on the plane would be known to MAX_BLUR.
 
-
-def _direction_information(plane, normal, tilt) -> np.ndarray:
-    """Information (3, 3) of a plane whose direction is known to ``tilt`` [rad], not its depth."""
-    return (np.eye(3) - np.outer(normal, normal)) / (np.linalg.norm(plane) * tilt) ** 2
+    Toward the horizon the ground's parallax vanishes, and what stands on it passes for ground:
+    always nearer, never farther, which tilts the plane and with it the camera's height (by 20 %
+    in the height for 2 degrees, as measured).
+    """
+    return depths.sigma < MAX_BLUR * np.maximum(-depths.rays @ plane, 1e-9)
