@@ -66,6 +66,9 @@ class DecoderSettings(Checked):
     split_flow: float = setting(
         16.0, 'px', 'median motion of a segment beyond which its middle B frame is a pose of its '
         'own; 0: always', 0.0)
+    split_share: float = setting(
+        0.6, '-', 'least share of correspondences that both halves must keep, or the segment '
+        'stays whole', 0.0)
     bridge_intra: bool = setting(
         True, '-', 'search the macroblocks of an I frame that no vector joins to the past')
     bridge_variance: float = setting(

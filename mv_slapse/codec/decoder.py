@@ -58,8 +58,11 @@ class CorrespondenceDecoder:
         flow = np.hypot(*(whole.x_prev - whole.x_cur).T)
         if not segment.between or len(flow) and np.median(flow) < self._settings.split_flow:
             return [whole]
-        return [merge(half, self._settings, self._expect)
-                for half in halves(segment, self._settings)]
+        parts = [merge(half, self._settings, self._expect)
+                 for half in halves(segment, self._settings)]
+        # Fewer matches over half the distance: the B frame's vectors mean other pictures.
+        good = min(map(len, parts)) >= self._settings.split_share * len(whole)
+        return parts if good else [whole]
 
     def _bridged(self, segment: Segment) -> Correspondences:
         """Search an I frame's macroblocks in the picture before it, or call the pair broken."""
