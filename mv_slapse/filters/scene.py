@@ -13,8 +13,8 @@ from mv_slapse.records import (
     Label,
     MotionStatus,
     PlaneHandover,
-    SceneEstimate,
     ScaleStatus,
+    SceneEstimate,
     TrackingStatus,
 )
 import numpy as np

@@ -74,6 +74,7 @@ class SceneMap:
         return tuple(self._map_plane(state, id) for id in sorted(state.planes))
 
     def _map_plane(self, state: SceneState, id: int) -> MapPlane:
+        """Write a plane down in {W}."""
         anchored, sighting = state.planes[id], self._sightings[id]
         normal, depth = plane_geometry.to_normal_depth(anchored.plane)
         J = plane_geometry.normal_depth_jacobian(anchored.plane)

@@ -83,11 +83,13 @@ class SceneState:
         planes = {id: AnchoredPlane(p.plane + e[self.at(id)], p.anchor)
                   for id, p in self.planes.items()}
         mount = self.mount + e[self.at('mount')]
-        return SceneState(pose['previous'], pose['current'], self.velocity + e[self.at('velocity')],
-                          self.omega + e[self.at('omega')], mount / np.linalg.norm(mount),
-                          self.depth_scale + float(e[self.at('depth_scale')][0]), planes, self.error)
+        return SceneState(
+            pose['previous'], pose['current'], self.velocity + e[self.at('velocity')],
+            self.omega + e[self.at('omega')], mount / np.linalg.norm(mount),
+            self.depth_scale + float(e[self.at('depth_scale')][0]), planes, self.error)
 
     def _moved_pose(self, name: str, e: np.ndarray) -> Pose:
+        """Return a pose moved by its error (6,)."""
         pose = getattr(self, name)
         return Pose(pose.R @ rotation.exp(e[:3]), pose.t + e[3:])
 
@@ -152,7 +154,7 @@ def plane_in_camera(state: SceneState, id: int) -> np.ndarray:
 
 
 def plane_in_camera_jacobian(state: SceneState, id: int):
-    """Return the derivatives of plane_in_camera by the pose's error (3, 6) and the plane (3, 3)."""
+    """Return the derivatives of plane_in_camera by pose error (3, 6) and plane (3, 3)."""
     plane, pose = state.planes[id], state.current
     offset = pose.t - plane.anchor
     scale = 1 + plane.plane @ offset

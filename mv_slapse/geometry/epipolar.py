@@ -4,12 +4,11 @@ Motion as in [MVO]: X_cur = R X_prev + t, so x_cur^T F x_prev = 0 with F = K^-T 
 Rays are K^-1 x with last coordinate 1. Inverse depths are in units of 1/|t|.
 """
 
+from mv_slapse.geometry.rotation import skew
 import numpy as np
 
-from mv_slapse.geometry.rotation import skew
 
-
-def fundamental(K: np.ndarray, R_cur_from_prev: np.ndarray, t_cur_from_prev: np.ndarray):
+def fundamental(K, R_cur_from_prev, t_cur_from_prev) -> np.ndarray:
     """Return F (3, 3) with x_cur^T F x_prev = 0, (4) of [MVO]."""
     K_inv = np.linalg.inv(K)
     return K_inv.T @ skew(t_cur_from_prev) @ R_cur_from_prev @ K_inv

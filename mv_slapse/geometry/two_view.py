@@ -49,7 +49,7 @@ class Pair:
 
 
 def epipolar_terms(pair: Pair, R, t, width: float):
-    """Normal equations of the epipolar errors by (w, t): A (6, 6), b (6,), cost.
+    """Return normal equations of epipolar errors by (w, t): A (6, 6), b (6,), cost.
 
     Geman-McClure kernel of ``width`` standard deviations; the cost is minus twice its log
     likelihood, bounded by width^2 for each correspondence.
@@ -62,7 +62,7 @@ def epipolar_terms(pair: Pair, R, t, width: float):
 
 
 def plane_terms(pair: Pair, R, t, plane, relief: float, width: float):
-    """Normal equations of the homography errors of one plane by (w, t, plane).
+    """Return normal equations of the homography errors of one plane by (w, t, plane).
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def plane_terms(pair: Pair, R, t, plane, relief: float, width: float):
 
 
 def plane_weights(pair: Pair, R, predicted, relief: float) -> np.ndarray:
-    """Inverse covariances (N, 2, 2) of x_prev on a plane with relief [1/px^2]."""
+    """Return inverse covariances (N, 2, 2) of x_prev on a plane with relief [1/px^2]."""
     at_infinity = pair.rays_cur @ R
     along = predicted - (at_infinity[:, :2] / at_infinity[:, 2:] * pair.focal + pair.K[:2, 2])
     variance = pair.sigma**2
@@ -115,7 +115,7 @@ def without_bias(A: np.ndarray, b: np.ndarray, plane: np.ndarray, bias: float):
 
 def normal_equations(pair: Pair, R, t, planes, index, relief: float, width: float, *,
                      bias: float = 0.0, dependence: float = 1.0):
-    """Normal equations of (10) by (w, t, plane 0, plane 1, ...).
+    """Return the normal equations of (10) by (w, t, plane 0, plane 1, ...).
 
     Parameters
     ----------

@@ -71,9 +71,7 @@ def refine(rays_cur, rays_prev, sigma, focal, R, t, steps=10) -> MotionFit:
         Start; t is a unit vector.
     """
     damping = 1e-6
-    widths = np.maximum(8.0 * 0.5 ** np.arange(steps), 2.0)
-    cost = np.inf
-    for width in widths:
+    for width in np.maximum(8.0 * 0.5 ** np.arange(steps), 2.0):
         error, J, basis = _error(rays_cur, rays_prev, focal, R, t)
         weight = robust_weight(error, width * sigma) / sigma**2
         A = J.T @ (weight[:, None] * J)

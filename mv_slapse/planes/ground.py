@@ -24,10 +24,10 @@ LEARNING = 0.1  # share that one key frame has in the learned mounting
 
 @dataclass(frozen=True)
 class Mount:
-    """How the camera sits above the ground: mean of its normal in the camera, and spread [rad],
-    which never exceeds ``widest``.
+    """How the camera sits above the ground: mean of its normal in the camera, and spread [rad].
 
-    The spread is learned: small for a camera bolted to a car, large for one carried by hand.
+    The spread is learned: small for a camera bolted to a car, large for one carried by hand, and
+    never above ``widest``.
     """
 
     direction: tuple[float, float, float] = UP_CAM

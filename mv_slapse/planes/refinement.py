@@ -54,7 +54,7 @@ def _moved(R, t, planes, step):
 
 
 def _tangent_equations(pair, R, t, planes, index, relief):
-    """Normal equations by (w, two tangents of t, planes), the cost, and the lift back to t."""
+    """Return A, b by (w, two tangents of t, planes), the cost, and the lift back to t."""
     A, b, cost = two_view.normal_equations(pair, R, t, planes, index, relief, width=3.0)
     lift = np.zeros((len(b), len(b) - 1))
     lift[:3, :3], lift[3:6, 3:5] = np.eye(3), rotation.tangent_basis(t)
