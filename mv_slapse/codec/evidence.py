@@ -140,7 +140,8 @@ def halves(segment: Segment, settings: DecoderSettings) -> tuple[Segment, Segmen
     vectors, over half the distance, are good (ALGORITHM 2, "B frames are poses too"). The half
     after it holds the B frame's backward vectors, turned round.
     """
-    middle = segment.between[len(segment.between) // 2]
+    # Of two B frames the first: in a pyramid it is the one that the other refers to.
+    middle = segment.between[(len(segment.between) - 1) // 2]
     wrong = np.zeros(len(middle), bool)
     wrong[np.concatenate(bent(segment, middle, settings)[1])] = True
     past = np.flatnonzero((middle.direction == PAST) & ~wrong)
