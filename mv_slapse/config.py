@@ -97,6 +97,8 @@ class ExtractionSettings(Checked):
     epsilon_h: float = setting(
         3.0, 'sigma', 'largest error of a block on a plane, along its epipolar line', 0.5, 20.0)
     min_macroblocks: int = setting(20, '-', 'smallest plane, section VII-A of [SLAPSE]', 4)
+    min_mover_macroblocks: int = setting(
+        5, '-', 'smallest moving region: a car of 1.5 m fills 2 by 3 macroblocks at 30 m', 2)
     max_planes: int = setting(8, '-', 'most stationary planes of a key frame', 1, 64)
     max_uncertainty: float = setting(
         0.2, '-', 'standard deviation of a plane n / d, as a share of it, beyond which it is '

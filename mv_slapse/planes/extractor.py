@@ -1,6 +1,7 @@
 """Planes, camera motion and labels of each key frame pair, [MVO] 4: PlaneExtractor.extract."""
 
 from dataclasses import dataclass, replace
+import itertools
 
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry import epipolar, two_view
@@ -12,6 +13,7 @@ from mv_slapse.planes import (
     labeling,
     lattice,
     refinement,
+    regions,
     scale,
 )
 from mv_slapse.planes.camera_motion import MotionFit
@@ -43,6 +45,16 @@ class Memory:
     noise: float = 1.0
     next_id: int = 0
     depths: scale.DepthMap | None = None
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a key frame pair shows: motion, evidence of its blocks, planes, moving regions."""
+
+    fit: MotionFit
+    evidence: labeling.Evidence
+    planes: list[PlaneFit]
+    movers: list[regions.MovingRegion]
 
 
 class PlaneExtractor:
@@ -79,10 +91,12 @@ class PlaneExtractor:
             return replace(blank, reason=_disagreement(evidence))
         ratio = self._ratio(blank, pair, evidence, fit)
         floor = self._ground_prior(blank, fit, ratio)
-        planes = self._planes(blank, pair, evidence, floor)
-        fit, planes, evidence = self._refined(pair, fit, planes, evidence)
+        ground_fit = self._ground(blank, pair, evidence, floor)
+        movers = self._movers(blank, pair, evidence, fit, ground_fit)
+        planes = self._planes(blank, pair, evidence, ground_fit, movers)
+        found = self._refined(pair, Found(fit, evidence, planes, movers))
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
-        return self._remember(blank, pair, fit, planes, evidence, noise, floor)
+        return self._finished(blank, pair, found, noise, floor)
 
     def _pair(self, correspondences: Correspondences) -> two_view.Pair:
         """Undistort; columns are rounded to float32 as messages hold them."""
@@ -128,15 +142,32 @@ class PlaneExtractor:
         t, _ = labeling.orient(pair, best.R_cur_from_prev, best.t_cur_from_prev)
         return replace(best, t_cur_from_prev=t)
 
-    def _planes(self, blank, pair, evidence, ground_prior) -> list[PlaneFit]:
-        """Find the ground, then known planes, then new ones, among stationary blocks."""
+    def _ground(self, blank, pair, evidence, prior: GroundPrior) -> PlaneFit | None:
+        """Find the ground among stationary blocks."""
+        depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
+        rng = np.random.default_rng(self._settings.seed)
+        floor = ground.find_ground(depths, _with_depth(evidence), prior, self._rules, rng)
+        return None if floor is None else replace(floor, id=self._memory.ground.id)
+
+    def _movers(self, blank, pair, evidence, fit, floor) -> list[regions.MovingRegion]:
+        """Find regions that move by themselves."""
+        plane = None if floor is None else floor.plane
+        scene = regions.Scene(pair, blank.x_cur.astype(float), blank.block.astype(float),
+                              fit.R_cur_from_prev, fit.t_cur_from_prev, plane,
+                              self._settings.min_mover_macroblocks)
+        free = np.ones(len(pair), bool) if floor is None else ~floor.member
+        return regions.find(scene, regions.suspects(scene, evidence), free, self._prior_id(blank))
+
+    def _planes(self, blank, pair, evidence, floor, movers) -> list[PlaneFit]:
+        """Find known planes, then new ones, among stationary blocks; the ground comes first."""
         rng = np.random.default_rng(self._settings.seed)
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
-        free = evidence.epipolar_inlier & ~evidence.at_infinity & ~evidence.backward
+        free = _with_depth(evidence)
+        for mover in movers:
+            free = free & ~mover.member
         found = []
-        floor = ground.find_ground(depths, free, ground_prior, self._rules, rng)
         if floor is not None:
-            found.append(replace(floor, id=self._memory.ground.id))
+            found.append(replace(floor, member=floor.member & free))
             free = free & ~floor.member
         prior_id = self._prior_id(blank)
         prior_id[prior_id == self._memory.ground.id] = -1
@@ -151,7 +182,7 @@ class PlaneExtractor:
         memory = self._memory
         if memory.depths is None or memory.stamp != blank.previous_stamp:
             return scale.BaselineRatio()
-        usable = _with_depth(evidence, self._settings)
+        usable = _with_depth(evidence)
         return scale.baseline_ratio(memory.depths, blank.x_prev, pair.rays_cur, evidence.rho,
                                     evidence.sigma_rho, usable, fit.R_cur_from_prev,
                                     fit.t_cur_from_prev)
@@ -173,13 +204,15 @@ class PlaneExtractor:
             return np.full(len(blank.x_prev), -1)
         return lattice.lookup(memory.grid, blank.x_prev)
 
-    def _refined(self, pair, fit, planes, evidence):
+    def _refined(self, pair, found: Found) -> Found:
         """Re-estimate motion and planes together, (10), and judge the blocks again."""
-        settings = self._settings
+        settings, fit, planes = self._settings, found.fit, found.planes
         index = np.full(len(pair), -1)
         for i, plane in enumerate(planes):
             index[plane.member] = i
-        stationary = evidence.epipolar_inlier & ~evidence.backward
+        stationary = found.evidence.epipolar_inlier & ~found.evidence.backward
+        for mover in found.movers:
+            stationary = stationary & ~mover.member
         R, t, values, covariance = refinement.reestimate(
             pair[stationary], fit.R_cur_from_prev, fit.t_cur_from_prev,
             [plane.plane for plane in planes], index[stationary], settings.relief)
@@ -189,42 +222,76 @@ class PlaneExtractor:
                   for i, (plane, value) in enumerate(zip(planes, values, strict=True))]
         evidence = labeling.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
                                      settings.relief)
-        return fit, planes, evidence
+        return Found(fit, evidence, planes, found.movers)
 
-    def _remember(self, blank, pair, fit, planes, evidence, noise, prior) -> Extraction:
-        """Give ids, write the labels down and keep what the next pair needs."""
-        label = np.full(len(pair), Label.UNKNOWN, np.int8)
-        label[evidence.epipolar_inlier & ~evidence.backward] = Label.STATIONARY
-        label[evidence.at_infinity] = Label.INFINITY
-        plane_id = np.full(len(pair), -1, np.int32)
-        next_id, observations = self._memory.next_id, []
-        for plane in planes:
-            if plane.id < 0:
-                plane, next_id = replace(plane, id=next_id), next_id + 1
-            plane_id[plane.member] = plane.id
-            observations.append(PlaneObservation(
-                plane.id, Label.STATIONARY, plane.plane, plane.covariance,
-                is_ground=plane.is_ground,
-                n_macroblocks=lattice.count_macroblocks(blank.x_cur[plane.member])))
+    def _finished(self, blank, pair, found: Found, noise, prior) -> Extraction:
+        """Write labels and planes down and keep what the next pair needs."""
+        found = self._named(found)
+        label, plane_id = _labels(found)
+        observations = tuple(_observations(blank.x_cur, found))
+        self._remember(blank, found, observations, plane_id, noise, prior)
+        fit = found.fit
+        motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev,
+                              fit.covariance, bool(fit.t_cur_from_prev[2] < 0))
+        return replace(blank, motion=motion, planes=observations, label=label,
+                       plane_id=plane_id, sigma=pair.sigma.astype(np.float32))
+
+    def _named(self, found: Found) -> Found:
+        """Give an id to what has none."""
+        ids = itertools.count(self._memory.next_id)
+        planes = [plane if plane.id >= 0 else replace(plane, id=next(ids))
+                  for plane in found.planes]
+        movers = [mover if mover.id >= 0 else replace(mover, id=next(ids))
+                  for mover in found.movers]
+        self._memory = replace(self._memory, next_id=next(ids))
+        return replace(found, planes=planes, movers=movers)
+
+    def _remember(self, blank, found: Found, observations, plane_id, noise, prior):
+        """Keep motion, labels, ground and depths for the next pair."""
         floor = next((plane for plane in observations if plane.is_ground), None)
-        wobble, track = self._settings.ground_wobble, self._memory.ground
-        track = replace(track, mount=track.mount.learned(fit.t_cur_from_prev, wobble))
+        track = self._memory.ground
+        track = replace(track, mount=track.mount.learned(found.fit.t_cur_from_prev,
+                                                         self._settings.ground_wobble))
         if floor is None:
             track = track.missed(prior)
         else:
             spread = np.sqrt(floor.plane @ floor.covariance @ floor.plane) / (
                 floor.plane @ floor.plane)
             track = track.seen(floor.id, floor.plane, spread)
+        evidence, size = found.evidence, (blank.width, blank.height)
         self._memory = Memory(
-            blank.stamp, fit,
-            lattice.paint(blank.width, blank.height, blank.x_cur, blank.block, plane_id),
-            blank.previous_stamp, track, noise, next_id,
-            scale.depth_map(blank.width, blank.height, blank.x_cur, blank.block, evidence.rho,
-                            evidence.sigma_rho, _with_depth(evidence, self._settings)))
-        motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev,
-                              fit.covariance, bool(fit.t_cur_from_prev[2] < 0))
-        return replace(blank, motion=motion, planes=tuple(observations), label=label,
-                       plane_id=plane_id, sigma=pair.sigma.astype(np.float32))
+            blank.stamp, found.fit, lattice.paint(*size, blank.x_cur, blank.block, plane_id),
+            blank.previous_stamp, track, noise, self._memory.next_id,
+            scale.depth_map(*size, blank.x_cur, blank.block, evidence.rho, evidence.sigma_rho,
+                            _with_depth(evidence)))
+
+
+def _labels(found: Found):
+    """Return the label (N,) and the plane id (N,) of each block."""
+    evidence = found.evidence
+    label = np.full(len(evidence.rho), Label.UNKNOWN, np.int8)
+    label[evidence.epipolar_inlier & ~evidence.backward] = Label.STATIONARY
+    label[evidence.at_infinity] = Label.INFINITY
+    plane_id = np.full(len(label), -1, np.int32)
+    for plane in found.planes:
+        plane_id[plane.member] = plane.id
+    for mover in found.movers:
+        label[mover.member] = Label.MOVING
+        plane_id[mover.member] = mover.id
+    return label, plane_id
+
+
+def _observations(x_cur, found: Found):
+    """Yield the planes as records, stationary ones first."""
+    for plane in found.planes:
+        yield PlaneObservation(plane.id, Label.STATIONARY, plane.plane, plane.covariance,
+                               is_ground=plane.is_ground,
+                               n_macroblocks=lattice.count_macroblocks(x_cur[plane.member]))
+    for mover in found.movers:
+        fit = mover.fit
+        yield PlaneObservation(mover.id, Label.MOVING, fit.plane, fit.covariance, fit.t_d,
+                               fit.product, fit.scale_prior,
+                               n_macroblocks=lattice.count_macroblocks(x_cur[mover.member]))
 
 
 def _too_few(pair) -> str:
@@ -233,7 +300,7 @@ def _too_few(pair) -> str:
     return '' if n >= least else f'{n} motion vectors, at least {least} are needed'
 
 
-def _with_depth(evidence, settings) -> np.ndarray:
+def _with_depth(evidence) -> np.ndarray:
     """Return the mask of stationary blocks whose parallax makes a depth."""
     return (evidence.epipolar_inlier & ~evidence.backward
             & ~evidence.at_infinity & (evidence.rho > 0))
