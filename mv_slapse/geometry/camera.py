@@ -48,8 +48,13 @@ def undistort(camera: Camera, x: np.ndarray) -> np.ndarray:
     x = np.asarray(x, float)
     if not np.any(camera.distortion) or not len(x):
         return x.copy()
-    function = cv2.fisheye.undistortPoints if camera.lens == 'equidistant' else cv2.undistortPoints
-    return function(x[:, None], camera.K, camera.distortion, P=camera.K)[:, 0]
+    if camera.lens == 'equidistant':
+        return cv2.fisheye.undistortPoints(x[:, None], camera.K, camera.distortion,
+                                           P=camera.K)[:, 0]
+    # OpenCV's own five iterations leave 0.2 px in the corners of a wide lens.
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-6)
+    return cv2.undistortPointsIter(x[:, None], camera.K, camera.distortion, np.eye(3), camera.K,
+                                   stop)[:, 0]
 
 
 def distort(camera: Camera, x: np.ndarray) -> np.ndarray:

@@ -1,0 +1,63 @@
+"""Planes by the points that lie on them."""
+
+from mv_slapse.geometry import plane, rotation
+from numeric import jacobian
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def random_plane(rng):
+    return rng.normal(0, 0.3, 3)
+
+
+@pytest.fixture
+def points(rng, random_plane):
+    X = rng.normal(0, 5, (20, 3))
+    return X - np.outer(X @ random_plane + 1, random_plane) / (random_plane @ random_plane)
+
+
+def test_normal_and_depth_come_back(rng):
+    normal, depth = rng.normal(size=3), 3.7
+    normal /= np.linalg.norm(normal)
+    found_normal, found_depth = plane.to_normal_depth(plane.from_normal_depth(normal, depth))
+    np.testing.assert_allclose(found_normal, normal)
+    assert found_depth == pytest.approx(depth)
+
+
+def test_the_point_nearest_to_the_origin_lies_against_the_normal():
+    normal, depth = plane.to_normal_depth(np.array([0, -0.5, 0]))  # a road 2 m below the camera
+    np.testing.assert_array_equal(normal, [0, -1, 0])
+    assert depth == 2.0
+    assert np.array([0, -0.5, 0]) @ [7.0, 2.0, 9.0] == -1
+
+
+def test_transformed_points_lie_on_the_transformed_plane(rng, random_plane, points):
+    R, t = rotation.exp(rng.normal(size=3)), rng.normal(size=3)
+    np.testing.assert_allclose((points @ R.T + t) @ plane.transform(random_plane, R, t), -1)
+
+
+def test_shifted_points_lie_on_the_shifted_plane(rng, random_plane, points):
+    displacement = rng.normal(size=3)
+    np.testing.assert_allclose((points + displacement) @ plane.shift(random_plane, displacement),
+                               -1)
+
+
+def test_shift_jacobian_is_the_numerical_one(rng, random_plane):
+    displacement = rng.normal(size=3)
+    expected = jacobian(lambda p: plane.shift(p, displacement), random_plane)
+    np.testing.assert_allclose(plane.shift_jacobian(random_plane, displacement), expected,
+                               rtol=1e-5, atol=1e-6)
+
+
+def test_normal_depth_jacobian_is_the_numerical_one(random_plane):
+    expected = jacobian(lambda p: np.r_[plane.to_normal_depth(p)], random_plane)
+    np.testing.assert_allclose(plane.normal_depth_jacobian(random_plane), expected, rtol=1e-5,
+                               atol=1e-6)
+
+
+def test_rays_meet_the_plane_in_points_on_it(rng, random_plane):
+    rays = np.c_[rng.normal(size=(20, 2)), np.ones(20)]
+    X = plane.intersect_rays(random_plane, rays)
+    np.testing.assert_allclose(X @ random_plane, -1)
+    np.testing.assert_allclose(X / X[:, 2:], rays)
