@@ -52,7 +52,7 @@ class DecoderSettings(Checked):
     min_support: float = setting(
         2.0, '-', 'least support of a vector by its own and the 8 macroblocks around', 0.0, 9.0)
     prior_votes: float = setting(
-        2.0, '-', 'support that a vector gets from the motion of the pairs before, in macroblocks',
+        1.0, '-', 'support that a vector gets from the motion of the pairs before, in macroblocks',
         0.0, 9.0)
     prior_slack: float = setting(
         2.0, 'px', 'how far a vector may be from that motion to get support', 0.01)
@@ -97,8 +97,9 @@ class ExtractionSettings(Checked):
     epsilon_h: float = setting(
         3.0, 'sigma', 'largest error of a block on a plane, along its epipolar line', 0.5, 20.0)
     min_macroblocks: int = setting(20, '-', 'smallest plane, section VII-A of [SLAPSE]', 4)
-    min_mover_macroblocks: int = setting(
-        5, '-', 'smallest moving region: a car of 1.5 m fills 2 by 3 macroblocks at 30 m', 2)
+    moving_score: float = setting(
+        30.0, '-', 'squared distance from anything stationary, summed over key frames, at which a '
+        'region is called moving: one in a million by chance', 1.0)
     max_planes: int = setting(8, '-', 'most stationary planes of a key frame', 1, 64)
     max_uncertainty: float = setting(
         0.2, '-', 'standard deviation of a plane n / d, as a share of it, beyond which it is '

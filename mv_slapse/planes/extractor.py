@@ -12,8 +12,8 @@ from mv_slapse.planes import (
     ground,
     labeling,
     lattice,
+    moving_regions,
     refinement,
-    regions,
     scale,
 )
 from mv_slapse.planes.camera_motion import MotionFit
@@ -49,12 +49,12 @@ class Memory:
 
 @dataclass(frozen=True)
 class Found:
-    """What a key frame pair shows: motion, evidence of its blocks, planes, moving regions."""
+    """What a key frame pair shows: motion, evidence of its blocks, planes, moving planes."""
 
     fit: MotionFit
     evidence: labeling.Evidence
     planes: list[PlaneFit]
-    movers: list[regions.MovingRegion]
+    moving: Extraction | None = None
 
 
 class PlaneExtractor:
@@ -66,6 +66,7 @@ class PlaneExtractor:
         self._settings = settings
         self._memory = Memory(ground=GroundTrack(Mount(
             spread=settings.ground_tilt, widest=settings.ground_tilt)))
+        self._movers = moving_regions.Memory()
         self._rules = extraction.Rules(
             settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
             settings.max_planes, settings.max_uncertainty)
@@ -91,10 +92,9 @@ class PlaneExtractor:
             return replace(blank, reason=_disagreement(evidence))
         ratio = self._ratio(blank, pair, evidence, fit)
         floor = self._ground_prior(blank, fit, ratio)
-        ground_fit = self._ground(blank, pair, evidence, floor)
-        movers = self._movers(blank, pair, evidence, fit, ground_fit)
-        planes = self._planes(blank, pair, evidence, ground_fit, movers)
-        found = self._refined(pair, Found(fit, evidence, planes, movers))
+        found = Found(fit, evidence, self._planes(blank, pair, evidence, floor))
+        found = self._moving(blank, pair, self._named(found), floor)
+        found = self._refined(pair, found)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
         return self._finished(blank, pair, found, noise, floor)
 
@@ -142,32 +142,15 @@ class PlaneExtractor:
         t, _ = labeling.orient(pair, best.R_cur_from_prev, best.t_cur_from_prev)
         return replace(best, t_cur_from_prev=t)
 
-    def _ground(self, blank, pair, evidence, prior: GroundPrior) -> PlaneFit | None:
-        """Find the ground among stationary blocks."""
-        depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
-        rng = np.random.default_rng(self._settings.seed)
-        floor = ground.find_ground(depths, _with_depth(evidence), prior, self._rules, rng)
-        return None if floor is None else replace(floor, id=self._memory.ground.id)
-
-    def _movers(self, blank, pair, evidence, fit, floor) -> list[regions.MovingRegion]:
-        """Find regions that move by themselves."""
-        plane = None if floor is None else floor.plane
-        scene = regions.Scene(pair, blank.x_cur.astype(float), blank.block.astype(float),
-                              fit.R_cur_from_prev, fit.t_cur_from_prev, plane,
-                              self._settings.min_mover_macroblocks)
-        free = np.ones(len(pair), bool) if floor is None else ~floor.member
-        return regions.find(scene, regions.suspects(scene, evidence), free, self._prior_id(blank))
-
-    def _planes(self, blank, pair, evidence, floor, movers) -> list[PlaneFit]:
-        """Find known planes, then new ones, among stationary blocks; the ground comes first."""
+    def _planes(self, blank, pair, evidence, prior: GroundPrior) -> list[PlaneFit]:
+        """Find the ground, then known planes, then new ones, among stationary blocks."""
         rng = np.random.default_rng(self._settings.seed)
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
         free = _with_depth(evidence)
-        for mover in movers:
-            free = free & ~mover.member
         found = []
+        floor = ground.find_ground(depths, free, prior, self._rules, rng)
         if floor is not None:
-            found.append(replace(floor, member=floor.member & free))
+            found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
         prior_id = self._prior_id(blank)
         prior_id[prior_id == self._memory.ground.id] = -1
@@ -176,6 +159,22 @@ class PlaneExtractor:
             free = free & ~plane.member
         room = self._rules.max_planes - len(found)
         return found + extraction.new_planes(depths, free, room, self._rules, rng)
+
+    def _moving(self, blank, pair, found: Found, prior: GroundPrior) -> Found:
+        """Find what moves by itself, and take it out of the stationary planes."""
+        label, plane_id = _labels(found)
+        floor = next((plane.plane for plane in found.planes if plane.is_ground), None)
+        if floor is None and prior.spread < ground.FORGOTTEN:
+            floor = prior.normal * prior.inverse_depth
+        fit = found.fit
+        motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev)
+        shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
+                        sigma=pair.sigma.astype(np.float32))
+        shown, self._movers = moving_regions.with_moving_planes(
+            shown, floor, self._movers, self._settings.moving_score)
+        still = shown.label != Label.MOVING
+        planes = [replace(plane, member=plane.member & still) for plane in found.planes]
+        return replace(found, planes=planes, moving=shown)
 
     def _ratio(self, blank, pair, evidence, fit) -> scale.BaselineRatio:
         """Compare this pair's baseline with the last one's."""
@@ -211,8 +210,7 @@ class PlaneExtractor:
         for i, plane in enumerate(planes):
             index[plane.member] = i
         stationary = found.evidence.epipolar_inlier & ~found.evidence.backward
-        for mover in found.movers:
-            stationary = stationary & ~mover.member
+        stationary &= found.moving.label != Label.MOVING
         R, t, values, covariance = refinement.reestimate(
             pair[stationary], fit.R_cur_from_prev, fit.t_cur_from_prev,
             [plane.plane for plane in planes], index[stationary], settings.relief)
@@ -222,13 +220,12 @@ class PlaneExtractor:
                   for i, (plane, value) in enumerate(zip(planes, values, strict=True))]
         evidence = labeling.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
                                      settings.relief)
-        return Found(fit, evidence, planes, found.movers)
+        return Found(fit, evidence, planes, found.moving)
 
     def _finished(self, blank, pair, found: Found, noise, prior) -> Extraction:
         """Write labels and planes down and keep what the next pair needs."""
-        found = self._named(found)
         label, plane_id = _labels(found)
-        observations = tuple(_observations(blank.x_cur, found))
+        observations = (*_observations(blank.x_cur, found), *found.moving.planes)
         self._remember(blank, found, observations, plane_id, noise, prior)
         fit = found.fit
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev,
@@ -237,14 +234,12 @@ class PlaneExtractor:
                        plane_id=plane_id, sigma=pair.sigma.astype(np.float32))
 
     def _named(self, found: Found) -> Found:
-        """Give an id to what has none."""
+        """Give an id to every plane that has none."""
         ids = itertools.count(self._memory.next_id)
         planes = [plane if plane.id >= 0 else replace(plane, id=next(ids))
                   for plane in found.planes]
-        movers = [mover if mover.id >= 0 else replace(mover, id=next(ids))
-                  for mover in found.movers]
         self._memory = replace(self._memory, next_id=next(ids))
-        return replace(found, planes=planes, movers=movers)
+        return replace(found, planes=planes)
 
     def _remember(self, blank, found: Found, observations, plane_id, noise, prior):
         """Keep motion, labels, ground and depths for the next pair."""
@@ -275,23 +270,19 @@ def _labels(found: Found):
     plane_id = np.full(len(label), -1, np.int32)
     for plane in found.planes:
         plane_id[plane.member] = plane.id
-    for mover in found.movers:
-        label[mover.member] = Label.MOVING
-        plane_id[mover.member] = mover.id
+    if found.moving is not None:
+        moving = found.moving.label == Label.MOVING
+        label[moving] = Label.MOVING
+        plane_id[moving] = found.moving.plane_id[moving]
     return label, plane_id
 
 
 def _observations(x_cur, found: Found):
-    """Yield the planes as records, stationary ones first."""
+    """Yield the stationary planes as records."""
     for plane in found.planes:
         yield PlaneObservation(plane.id, Label.STATIONARY, plane.plane, plane.covariance,
                                is_ground=plane.is_ground,
                                n_macroblocks=lattice.count_macroblocks(x_cur[plane.member]))
-    for mover in found.movers:
-        fit = mover.fit
-        yield PlaneObservation(mover.id, Label.MOVING, fit.plane, fit.covariance, fit.t_d,
-                               fit.product, fit.scale_prior,
-                               n_macroblocks=lattice.count_macroblocks(x_cur[mover.member]))
 
 
 def _too_few(pair) -> str:
