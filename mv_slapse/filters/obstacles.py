@@ -7,7 +7,14 @@ from mv_slapse.filters import association, management, tracks
 from mv_slapse.filters.detections import Detection, detections, from_handover
 from mv_slapse.filters.obstacle_motion import CameraStep
 from mv_slapse.filters.view import relative_motion, View, view_of
-from mv_slapse.records import Extraction, Label, Obstacle, PlaneHandover, SceneEstimate
+from mv_slapse.records import (
+    Extraction,
+    Label,
+    Obstacle,
+    PlaneHandover,
+    ScalePrior,
+    SceneEstimate,
+)
 import numpy as np
 
 OWN_IDS = 1_000_000  # ids from here on are given where a plane's id is another track's already
@@ -111,8 +118,8 @@ class ObstacleTracker:
         """Confirm, hand over and expire tracks; return what is left and what is handed over."""
         given = []
         for track in self._tracks:
-            track.confirmed |= management.confirms(track.evidence, self._view.is_metric,
-                                                   self._settings)
+            track.confirmed |= self._stands_on_ground(track) and management.confirms(
+                track.evidence, self._view.is_metric, self._settings)
             if track.confirmed and self._has_stopped(track, extraction):
                 given.append(track)
         handed = [track.handover(extraction.stamp, self._view) for track in given]
@@ -120,6 +127,10 @@ class ObstacleTracker:
                         if track not in given and not self._expired(track, extraction.stamp)]
         self._used |= {track.id for track in self._tracks if track.confirmed}
         return self._obstacles(extraction.stamp), handed
+
+    def _stands_on_ground(self, track):
+        """Tell whether an obstacle touches the ground, where there is one: others float on air."""
+        return self._view.ground is None or track.scale_prior is ScalePrior.GROUND_CONTACT
 
     def _has_stopped(self, track, extraction):
         if track.last_seen == extraction.stamp:

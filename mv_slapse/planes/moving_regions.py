@@ -13,10 +13,11 @@ The answers are squared distances. They are summed over key frame pairs along th
 that a slow mover becomes one in time and a wrong vector, which does not last, does not.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from mv_slapse.geometry import epipolar, moving_plane
 from mv_slapse.geometry.camera import to_rays
+from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice
 from mv_slapse.planes.moving import fit_moving_plane, MovingPlane
 from mv_slapse.records import Extraction, Label, PlaneObservation
@@ -35,7 +36,8 @@ ON_GROUND = 0.2  # share of the ground's inverse depth within which a block is g
 BELOW_GROUND = 0.75  # share of the ground's inverse depth below which nothing still can be
 LEAST_DROP = 12.0  # px below the horizon from which on a lower edge tells something
 LOWEST, TALLEST = 0.35, 2.0  # heights of a camera, of what may be a vehicle or a person
-RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane
+RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane,
+WIDE = 250.0  # px, if it is as wide as this
 HOVER_SIGMA = 0.15  # of the log of apparent over ground's inverse depth: the edge's block
 STEP = 60.0  # largest part of the score of one pair
 FADING = 0.7  # of the score from pair to pair
@@ -74,14 +76,18 @@ class Memory:
 
 @dataclass(frozen=True)
 class _Field:
-    """Motion of all blocks after removing rotation; ``still_ground``, ``far``: not of interest."""
+    """Motion of all blocks after removing rotation, and which cannot belong to an obstacle.
+
+    ``ground_like`` blocks move as the ground does, ``far`` ones above the horizon do not move.
+    """
 
     x: np.ndarray
     block: np.ndarray
     parallax: np.ndarray
     ground_like: np.ndarray
     far: np.ndarray
-    ground: np.ndarray | None = field(default=None)
+    plane_id: np.ndarray
+    ground: np.ndarray | None
 
 
 def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory: Memory,
@@ -118,6 +124,7 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     grid = lattice.paint(extraction.width, extraction.height, extraction.x_cur,
                          extraction.block, numbers)
     moving = [region for region in regions if region.id >= 0]
+    moving = _grown(extraction, motion_field, moving)
     return _labelled(extraction, moving), Memory(extraction.stamp, grid, tuple(regions), next_id)
 
 
@@ -135,7 +142,8 @@ def _motion_field(extraction, ground):
     slack = 3 * per_pixel * extraction.sigma + ON_GROUND * under
     ground_like = (under > 0) & (error < 4) & (np.abs(rho - under) < slack)
     far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < 1.5)
-    return _Field(x, extraction.block.astype(float), parallax, ground_like, far, ground)
+    return _Field(x, extraction.block.astype(float), parallax, ground_like, far,
+                  extraction.plane_id, ground)
 
 
 def _origin(extraction, memory):
@@ -147,20 +155,45 @@ def _origin(extraction, memory):
 
 def _alike(motion_field):
     """Return the members of each connected set of neighbours whose vectors are alike."""
-    index = np.flatnonzero(~motion_field.ground_like & ~motion_field.far)
-    pairs = cKDTree(motion_field.x[index]).query_pairs(REACH, output_type='ndarray') if len(
-        index) else np.zeros((0, 2), int)
-    m = motion_field.parallax[index]
-    a, b = m[pairs[:, 0]], m[pairs[:, 1]]
-    longer = np.maximum(np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1))
-    same = np.linalg.norm(a - b, axis=1) < ALIKE[0] + ALIKE[1] * longer
-    graph = coo_matrix((np.ones(same.sum()), (pairs[same, 0], pairs[same, 1])),
-                       shape=(len(index), len(index)))
-    n, part = connected_components(graph, directed=False)
+    a, b = _alike_pairs(motion_field)
+    usable = ~motion_field.ground_like | _bridges(motion_field, a, b)
+    joined = usable[a] & usable[b]
+    index = np.flatnonzero(usable & ~motion_field.far)
+    n = len(motion_field.x)
+    graph = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), shape=(n, n))
+    part = connected_components(graph, directed=False)[1][index]
     order = np.argsort(part, kind='stable')
-    sets = np.split(index[order], np.cumsum(np.bincount(part, minlength=n))[:-1]) if n else []
+    sets = np.split(index[order], np.flatnonzero(np.diff(part[order])) + 1)
     area = motion_field.block.prod(axis=1) / lattice.MACROBLOCK**2
     return [s for s in sets if len(s) >= LEAST and area[s].sum() >= LEAST - 0.5]
+
+
+def _alike_pairs(motion_field):
+    """Return the two blocks (P,), (P,) of each pair of neighbours whose vectors are alike."""
+    x, m, plane = motion_field.x, motion_field.parallax, motion_field.plane_id
+    if not len(x):
+        return np.zeros((2, 0), int)
+    a, b = cKDTree(x).query_pairs(REACH, output_type='ndarray').T
+    longer = np.maximum(np.linalg.norm(m[a], axis=1), np.linalg.norm(m[b], axis=1))
+    same = np.linalg.norm(m[a] - m[b], axis=1) < ALIKE[0] + ALIKE[1] * longer
+    # A car before a facade may move as it does for a while: what is a plane stays by itself.
+    same &= (plane[a] == plane[b]) & ~motion_field.far[a] & ~motion_field.far[b]
+    return a[same], b[same]
+
+
+def _bridges(motion_field, a, b):
+    """Return the blocks that move as the ground does, but as their neighbours up and down, too.
+
+    A car ahead shows all its blocks at one depth, and at one of its rows the ground has it.
+    """
+    y = motion_field.x[:, 1]
+    found = np.zeros((2, len(y)), bool)
+    for one, other in ((a, b), (b, a)):
+        beside = ~motion_field.ground_like[other] & (np.abs(
+            motion_field.x[one, 0] - motion_field.x[other, 0]) < lattice.MACROBLOCK / 2)
+        found[0, one[beside & (y[other] < y[one])]] = True
+        found[1, one[beside & (y[other] > y[one])]] = True
+    return motion_field.ground_like & found[0] & found[1]
 
 
 def _scored(extraction, motion_field, member, came_from, memory):
@@ -188,7 +221,7 @@ def _distance(extraction, motion_field, x, member, fit):
     size = np.ptp(x, axis=0) + lattice.MACROBLOCK
     bias = np.r_[BIAS / np.diag(K)[:2], BIAS / (0.5 * np.min(size))]
     # A surface that is not one plane shifts its rate by a share of it.
-    shape = (RELIEF * np.linalg.norm(rate))**2
+    shape = (RELIEF * np.linalg.norm(rate) * min(1.0, np.max(size) / WIDE))**2
     W = np.linalg.inv((by_state @ fit.covariance @ by_state.T)[:3, :3] + np.diag(bias**2 + shape))
     apparent, sigma = (rate @ W @ t) / (t @ W @ t), 1 / np.sqrt(t @ W @ t)
     contact = moving_plane.contact(x, motion_field.block[member])
@@ -249,6 +282,27 @@ def _named(regions, came_from, memory, threshold):
             region = replace(region, id=id_)
         named.append(region)
     return named, next_id
+
+
+def _grown(extraction, motion_field, moving):
+    """Add the blocks in and around each moving region that move with its plane, not the ground."""
+    free = ~motion_field.ground_like
+    for region in moving:
+        free[region.member] = False
+    grown = []
+    for region in sorted(moving, key=lambda item: -len(item.member)):
+        x = motion_field.x[region.member]
+        low, high = x.min(axis=0) - lattice.MACROBLOCK, x.max(axis=0) + lattice.MACROBLOCK
+        near = np.flatnonzero(free & np.all((motion_field.x >= low) & (motion_field.x <= high),
+                                            axis=1))
+        H = moving_plane.homography(region.fit.product, extraction.K,
+                                    extraction.motion.R_cur_from_prev)
+        error = np.linalg.norm(transfer(H, motion_field.x[near]) - extraction.x_prev[near], axis=1)
+        length = np.linalg.norm(motion_field.parallax[near], axis=1)
+        joins = near[error < ALIKE[0] + ALIKE[1] * length]
+        free[joins] = False
+        grown.append(replace(region, member=np.r_[region.member, joins]))
+    return grown
 
 
 def _labelled(extraction, moving):

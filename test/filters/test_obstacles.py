@@ -234,6 +234,17 @@ def test_smallest_motion_is_never_confirmed_where_a_depth_explains_it(rng):
     assert not any(usable(obstacles) for _, obstacles, _ in result)
 
 
+def test_what_floats_above_the_horizon_is_never_confirmed(rng):
+    class Balloon(Mover):
+        def centre(self, time):
+            return super().centre(time) - [0, 3.5, 0]
+
+    drive = Drive((Balloon(1, (0, 16), (0, 14), size=(3, 3)),))
+    result = run(drive, rng, 1.0)
+    assert any(obstacles for _, obstacles, _ in result)
+    assert not any(usable(obstacles) for _, obstacles, _ in result)
+
+
 def test_motion_against_the_scene_is_confirmed_without_ground(rng):
     drive = replace_ground(Drive((Mover(1, (0.5, 12), (0, 14)),)))
     result = run(drive, rng, 1.5)

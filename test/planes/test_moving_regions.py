@@ -1,0 +1,133 @@
+"""Which blocks move: drawn streets with the truth of every block."""
+
+from dataclasses import replace
+
+from mv_slapse.planes import moving_regions
+from mv_slapse.planes.moving_regions import Memory, with_moving_planes
+from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus
+from mv_slapse.simulation.drawn import draw
+from mv_slapse.simulation.street import Street, StreetSettings
+import numpy as np
+import pytest
+
+THRESHOLD, STEP = 20.0, 6  # frames between key frames
+
+
+def extraction_of(street, i, j, rng, outliers=0.1):
+    """Return a pair in which nothing moves yet, its truth, and the ground plane."""
+    drawn = draw(street, i, j, rng, 0.3, outliers)
+    pair = drawn.correspondences
+    (R0, t0), (R1, t1) = street.pose(i), street.pose(j)
+    t = R1.T @ (t0 - t1)
+    unit = np.linalg.norm(t)
+    ground = next(p for p in street.planes if p.name == 'ground')
+    plane = R1.T @ ground.normal / (ground.depth + ground.normal @ t1) * unit
+    # What the extraction of stationary planes would have found: all but the cars.
+    surface = np.where(drawn.label == Label.STATIONARY, drawn.surface, -1).astype(np.int32)
+    motion = CameraMotion(MotionStatus.MOVING, R1.T @ R0, t / unit)
+    return Extraction(
+        pair.stamp, pair.previous_stamp, pair.width, pair.height, pair.kind, street.camera.K,
+        motion, (), '', pair.x_cur, pair.x_prev, pair.sigma, pair.block,
+        np.zeros(len(pair), np.int8), np.where(drawn.outlier, -1, surface)), drawn, plane
+
+
+def run(street, rng, first=0, last=72, ground=True):
+    """Yield the labelled extraction of each pair with its truth."""
+    memory = Memory()
+    for j in range(first + STEP, last, STEP):
+        extraction, drawn, plane = extraction_of(street, j - STEP, j, rng)
+        found, memory = with_moving_planes(extraction, plane if ground else None, memory,
+                                           THRESHOLD)
+        yield found, drawn
+
+
+def street_of(*movers, seed=0, **settings):
+    return Street(StreetSettings(seed=seed, movers=movers, n_frames=130, **settings))
+
+
+@pytest.mark.parametrize('kind', ['faster', 'same_speed'])
+@pytest.mark.parametrize('seed', [0, 1])
+def test_a_mover_is_found_from_the_second_pair_on(kind, seed):
+    street = street_of(kind, seed=seed)
+    hits = []
+    for k, (found, drawn) in enumerate(run(street, np.random.default_rng(seed))):
+        on_it = (drawn.label == Label.MOVING) & ~drawn.outlier
+        if k and on_it.sum() >= 6:
+            hits.append(np.mean(found.label[on_it] == Label.MOVING) >= 0.5)
+    assert np.mean(hits) >= 0.5
+
+
+@pytest.mark.parametrize('kind', ['slower', 'oncoming'])
+@pytest.mark.parametrize('seed', [0, 1, 2])
+def test_what_moves_along_the_flow_is_found_by_its_place_on_the_ground(kind, seed):
+    hits = []
+    for found, drawn in run(street_of(kind, seed=seed), np.random.default_rng(seed), last=125):
+        on_it = (drawn.label == Label.MOVING) & ~drawn.outlier
+        if on_it.sum() >= 20:
+            hits.append(np.mean(found.label[on_it] == Label.MOVING) >= 0.5)
+    assert len(hits) >= 1
+    assert np.mean(hits) >= 0.2
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_hardly_anything_still_is_called_moving(seed):
+    street = street_of('slower', 'faster', seed=seed)
+    wrong = [np.mean(found.label[(drawn.label != Label.MOVING) & ~drawn.outlier] == Label.MOVING)
+             for found, drawn in run(street, np.random.default_rng(seed))]
+    assert np.mean(wrong) < 0.02
+
+
+def test_an_empty_street_has_few_moving_planes(rng):
+    street = street_of(parked=2)
+    count = [len(found.planes) for found, _ in run(street, rng, last=54)]
+    assert np.mean(count) < 0.3
+
+
+def test_the_id_of_a_mover_lasts(rng):
+    ids = []
+    for found, drawn in run(street_of('faster'), rng):
+        on_it = found.plane_id[drawn.label == Label.MOVING]
+        if np.any(on_it >= 0):
+            ids.append(np.bincount(on_it[on_it >= 0]).argmax())
+    assert len(ids) > 8
+    assert np.mean(np.array(ids) == ids[-1]) > 0.8
+    assert min(ids) >= moving_regions.FIRST_ID
+
+
+def test_moving_planes_tell_the_speed(rng):
+    street = street_of('faster')
+    car, speeds = street.movers[0], []
+    for found, drawn in run(street, rng):
+        now = round(found.stamp * 1e-9 * street.settings.fps)
+        unit = np.linalg.norm(street.pose(now)[1] - street.pose(now - STEP)[1])
+        for plane in found.planes:
+            if np.mean(drawn.surface[found.plane_id == plane.id] == car.id) > 0.8:
+                speeds.append(-plane.t_d[2] * unit / (STEP / street.settings.fps))
+    assert np.median(speeds) == pytest.approx(car.profile.speed(1.0), abs=1.5)
+
+
+def test_without_ground_what_contradicts_the_flow_is_still_found(rng):
+    hits = [np.mean(found.label[drawn.label == Label.MOVING] == Label.MOVING)
+            for found, drawn in run(street_of('faster'), rng, ground=False)]
+    assert np.mean(np.array(hits[2:]) > 0.4) > 0.6
+
+
+def test_labels_planes_and_ids_agree(rng):
+    for found, _ in run(street_of('slower', 'faster'), rng, last=42):
+        moving = {plane.id for plane in found.planes}
+        assert set(found.plane_id[found.label == Label.MOVING]) == moving
+        assert all(plane.label is Label.MOVING and plane.n_macroblocks >= 3
+                   for plane in found.planes)
+
+
+def test_a_gap_forgets_and_no_blocks_are_no_movers(rng):
+    street = street_of('faster')
+    extraction, _, plane = extraction_of(street, 0, STEP, rng)
+    _, memory = with_moving_planes(extraction, plane, Memory(), THRESHOLD)
+    later, _, plane = extraction_of(street, 10, 10 + STEP, rng)
+    fresh, _ = with_moving_planes(later, plane, Memory(next_id=memory.next_id), THRESHOLD)
+    after_gap, _ = with_moving_planes(later, plane, memory, THRESHOLD)
+    np.testing.assert_array_equal(after_gap.label, fresh.label)
+    nothing = replace(extraction, **{name: getattr(extraction, name)[:0] for name in (
+        'x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')})
+    assert with_moving_planes(nothing, plane, memory, THRESHOLD)[0].planes == ()
