@@ -10,6 +10,7 @@ from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
 
 PROTOCOLS = 'file,rtsp,rtp,udp,tcp,http,https'
+PATIENCE = 10.0  # s, for a network to answer
 DEFAULT_RATE = Fraction(25)
 NANOSECONDS = 10 ** 9
 
@@ -29,11 +30,10 @@ class Source:
         Number of pictures as the container tells it; 0 where it does not.
     """
 
-    def __init__(self, container, is_live: bool):
+    def __init__(self, container):
         """Take the first video stream of an open container."""
         self._container = container
         self._stream = container.streams.video[0]
-        self._is_live = is_live
         context = self._stream.codec_context
         self.codec = self._stream.codec.name
         self.width, self.height = context.width, context.height
@@ -115,18 +115,30 @@ def open_source(path_or_url: str | Path) -> Source:
     elif name.split('://', 1)[0].lower() not in PROTOCOLS.split(','):
         raise UnusableInput(f'{name}: protocol not allowed; use one of {PROTOCOLS}')
     try:
-        container = av.open(name, options={'protocol_whitelist': PROTOCOLS})
+        container = av.open(name, **_how_to_open(name, is_url))
     except (av.error.FFmpegError, OSError) as error:
         raise UnusableInput(f'{name} cannot be opened as a video: {error}; give a video file '
                             'that FFmpeg can read, or a stream that is reachable') from error
     if not container.streams.video:
         container.close()
         raise UnusableInput(f'{name} has no video stream; give a file with pictures in it')
-    return _checked(container, name, is_url)
+    return _checked(container, name)
 
 
-def _checked(container, name: str, is_live: bool) -> Source:
-    source = Source(container, is_live)
+def _how_to_open(name: str, is_url: bool) -> dict:
+    """Return the arguments of av.open: a patience for networks, the driver of cameras."""
+    options = {'protocol_whitelist': PROTOCOLS}
+    if is_url:
+        # UDP loses packets in silence, and a lost packet is a broken pair.
+        transport = {'rtsp_transport': 'tcp'} if name.startswith('rtsp') else {}
+        return {'options': {**options, **transport}, 'timeout': PATIENCE}
+    if Path(name).is_char_device():
+        return {'format': 'v4l2', 'options': {'input_format': 'h264'}}
+    return {'options': options}
+
+
+def _checked(container, name: str) -> Source:
+    source = Source(container)
     try:
         check_codec(source.codec)
         if source.interlaced:
@@ -144,7 +156,7 @@ def _check_file(path: Path):
         raise UnusableInput(f'{path} is a directory; give a video file')
     if not path.exists():
         raise UnusableInput(f'{path}: no such file; check the path')
-    if not path.stat().st_size:
+    if not path.stat().st_size and not path.is_char_device():
         raise UnusableInput(f'{path} is empty; was the recording finished?')
 
 

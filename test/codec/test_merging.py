@@ -128,9 +128,10 @@ def test_direct_evidence_weighs_as_the_setting_says(paper, share):
 
 def test_a_lone_vector_needs_the_pairs_before_to_speak_for_it(rng):
     evidence = lattice(lambda x: rng.uniform(-60, 60, x.shape))
+    settings = DecoderSettings(prior_votes=2.5)
     field = evidence.vector.reshape(8, 10, 2)
-    x, vector, _ = merging.consensus(evidence, WIDTH, HEIGHT, SETTINGS, field)
+    x, vector, _ = merging.consensus(evidence, WIDTH, HEIGHT, settings, field)
     assert len(x) == 80
     np.testing.assert_allclose(vector, evidence.vector, atol=1e-4)
     assert len(agreed(evidence)[0]) < 8
-    assert len(merging.consensus(evidence, WIDTH, HEIGHT, SETTINGS, field + 999)[0]) < 8
+    assert len(merging.consensus(evidence, WIDTH, HEIGHT, settings, field + 999)[0]) < 8
