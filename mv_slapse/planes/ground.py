@@ -75,7 +75,7 @@ class GroundPrior:
     spread: float = np.inf
 
     def distance(self, planes: np.ndarray) -> np.ndarray:
-        """Squared Mahalanobis distance of planes (N, 3); infinite for what faces down."""
+        """Squared Mahalanobis distance of planes (N, 3); what faces down is far off."""
         length = np.linalg.norm(planes, axis=1)
         angle = np.arccos(np.clip(planes @ self.normal / length, -1, 1))
         return (np.square(angle / self.tilt)

@@ -49,7 +49,7 @@ def count_macroblocks(x: np.ndarray) -> int:
 def components(x: np.ndarray, reach: int = 1) -> np.ndarray:
     """Return for each block (N, 2) the number of its connected component, from 0.
 
-    Blocks are connected over gaps of fewer than ``2 * reach`` macroblocks.
+    Blocks are connected over gaps of up to ``2 * reach`` macroblocks.
     """
     if not len(x):
         return np.zeros(0, int)

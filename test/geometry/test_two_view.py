@@ -1,0 +1,157 @@
+"""Normal equations of a pair against the numerical gradient and Hessian of their cost."""
+
+from canyon import CANYON, K, motion, MOTIONS, SKY, views
+from mv_slapse.geometry import homography, rotation, two_view
+from mv_slapse.geometry.camera import to_rays
+from numeric import jacobian
+import numpy as np
+import pytest
+
+WALL = 1
+
+
+@pytest.fixture(params=MOTIONS)
+def noisy(rng, request):
+    return views(*motion(request.param), rng, 0.5, 0.2)
+
+
+@pytest.fixture
+def exact():
+    return views(*motion('ahead'))
+
+
+def moved(scene, p):
+    """Return motion, and planes if p holds some, moved by (w, t, planes)."""
+    return rotation.exp(p[:3]) @ scene.R, scene.t + p[3:6]
+
+
+def random_normal_equations(rng, n=9):
+    J = rng.normal(size=(30, n))
+    return J.T @ J, J.T @ rng.normal(size=30)
+
+
+def test_a_mask_selects_all_columns(exact):
+    mask = exact.surface == WALL
+    part = exact.pair[mask]
+    assert len(part) == mask.sum()
+    np.testing.assert_array_equal(part.rays_cur, exact.pair.rays_cur[mask])
+    np.testing.assert_array_equal(part.rays_prev, exact.pair.rays_prev[mask])
+    np.testing.assert_array_equal(part.x_prev, exact.x_prev[mask])
+    np.testing.assert_array_equal(part.focal, [K[0, 0], K[1, 1]])
+
+
+def test_epipolar_vector_is_minus_half_the_gradient_of_the_cost(noisy):
+    pair = noisy.pair[np.hypot(*(noisy.x_true - noisy.x_cur).T) > 1]
+    gradient = jacobian(lambda p: two_view.epipolar_terms(pair, *moved(noisy, p), 3.0)[2],
+                        np.zeros(6))
+    _, b, _ = two_view.epipolar_terms(pair, noisy.R, noisy.t, 3.0)
+    np.testing.assert_allclose(b, -gradient / 2, rtol=1e-3, atol=1e-4 * np.abs(b).max())
+
+
+def test_plane_vector_is_minus_half_the_gradient_of_the_cost(noisy):
+    pair = noisy.pair[noisy.surface == WALL]
+
+    def cost(p):
+        return two_view.plane_terms(pair, *moved(noisy, p), CANYON[WALL] + p[6:], 0.0, 3.0)[2]
+
+    _, b, _ = two_view.plane_terms(pair, noisy.R, noisy.t, CANYON[WALL], 0.0, 3.0)
+    np.testing.assert_allclose(b, -jacobian(cost, np.zeros(9)) / 2, rtol=1e-3,
+                               atol=1e-4 * np.abs(b).max())
+
+
+def test_relief_leaves_the_gradient_that_of_the_cost_with_weights_held(noisy):
+    pair, plane, relief = noisy.pair[noisy.surface == WALL], CANYON[WALL], 0.05
+    predicted = homography.plane_transfer(pair.rays_cur, K, noisy.R, noisy.t, plane)
+    W = two_view.plane_weights(pair, noisy.R, predicted, relief)
+
+    def cost(p):
+        e = pair.x_prev - homography.plane_transfer(pair.rays_cur, K, *moved(noisy, p),
+                                                    plane + p[6:])
+        m2 = np.einsum('ni,nij,nj->n', e, W, e)
+        return np.sum(m2 / (1 + m2 / 9))
+
+    _, b, value = two_view.plane_terms(pair, noisy.R, noisy.t, plane, relief, 3.0)
+    assert value == pytest.approx(cost(np.zeros(9)))
+    np.testing.assert_allclose(b, -jacobian(cost, np.zeros(9)) / 2, rtol=1e-3,
+                               atol=1e-4 * np.abs(b).max())
+
+
+def test_at_exact_data_the_matrix_is_half_the_hessian_of_the_cost(exact):
+    pair = exact.pair[exact.surface == WALL]
+
+    def vector(p):
+        return two_view.plane_terms(pair, *moved(exact, p), CANYON[WALL] + p[6:], 0.0, 3.0)[1]
+
+    A, b, cost = two_view.plane_terms(pair, exact.R, exact.t, CANYON[WALL], 0.0, 3.0)
+    numerical = -jacobian(vector, np.zeros(9), 1e-9)
+    np.testing.assert_allclose(A, numerical, rtol=1e-3, atol=1e-4 * np.abs(A).max())
+    assert cost < 1e-12
+    np.testing.assert_allclose(b / np.sqrt(np.diag(A)), 0, atol=1e-6)
+
+
+def test_plane_weights_invert_the_covariance_of_noise_and_relief(noisy):
+    pair, relief = noisy.pair[noisy.surface == WALL], 0.04
+    predicted, far = (homography.plane_transfer(pair.rays_cur, K, noisy.R, noisy.t, plane)
+                      for plane in (CANYON[WALL], np.zeros(3)))
+    along = relief * (predicted - far)
+    covariance = (pair.sigma**2)[:, None, None] * np.eye(2) + along[:, :, None] * along[:, None]
+    np.testing.assert_allclose(two_view.plane_weights(pair, noisy.R, predicted, relief),
+                               np.linalg.inv(covariance), rtol=1e-6, atol=1e-9)
+
+
+def test_without_bias_is_the_solution_with_the_bias_as_one_more_unknown(rng):
+    (A, b), plane, bias = random_normal_equations(rng), rng.normal(size=3), 0.3
+    column = A[:, 6:] @ plane  # (1 + s) plane: the derivative by s is that along the plane
+    full = np.block([[A, column[:, None]], [column, plane @ column[6:] + 1 / bias**2]])
+    vector = np.r_[b, plane @ b[6:]]
+    A_left, b_left = two_view.without_bias(A, b, plane, bias)
+    np.testing.assert_allclose(np.linalg.solve(A_left, b_left),
+                               np.linalg.solve(full, vector)[:9])
+    np.testing.assert_allclose(np.linalg.inv(A_left), np.linalg.inv(full)[:9, :9])
+
+
+def test_no_bias_changes_nothing_and_a_large_one_hides_the_planes_scale(rng):
+    (A, b), plane = random_normal_equations(rng), rng.normal(size=3)
+    for same, old in zip(two_view.without_bias(A, b, plane, 0.0), (A, b), strict=True):
+        np.testing.assert_array_equal(same, old)
+    A_left, b_left = two_view.without_bias(A, b, plane, 1e6)
+    np.testing.assert_allclose(A_left[:, 6:] @ plane, 0, atol=1e-8)
+    assert abs(b_left[6:] @ plane) < 1e-8
+
+
+def test_equations_of_a_pair_are_the_sum_of_its_parts(noisy):
+    arguments = noisy.R, noisy.t
+    A, b, cost = two_view.normal_equations(noisy.pair, *arguments, CANYON, noisy.surface, 0.03,
+                                           3.0, bias=0.04, dependence=5.0)
+    sky = two_view.epipolar_terms(noisy.pair[noisy.surface == SKY], *arguments, 3.0)
+    A_sum, b_sum, cost_sum = np.zeros((18, 18)), np.zeros(18), sky[2]
+    A_sum[:6, :6], b_sum[:6] = sky[0] / 5, sky[1] / 5
+    for i, plane in enumerate(CANYON):
+        A_i, b_i, cost_i = two_view.plane_terms(noisy.pair[noisy.surface == i], *arguments, plane,
+                                                0.03, 3.0)
+        A_i, b_i = two_view.without_bias(A_i / 5, b_i / 5, plane, 0.04)
+        pick = np.zeros((9, 18))
+        pick[:6, :6], pick[6:, 6 + 3 * i:9 + 3 * i] = np.eye(6), np.eye(3)
+        A_sum, b_sum, cost_sum = A_sum + pick.T @ A_i @ pick, b_sum + pick.T @ b_i, (
+            cost_sum + cost_i)
+    np.testing.assert_allclose(A, A_sum, atol=1e-12 * np.abs(A).max())
+    np.testing.assert_allclose(b, b_sum, atol=1e-12 * np.abs(b).max())
+    assert cost == pytest.approx(cost_sum)
+
+
+def test_nothing_seen_weighs_nothing():
+    empty = two_view.Pair(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0), K)
+    A, b, cost = two_view.normal_equations(empty, np.eye(3), np.ones(3), CANYON[:1],
+                                           np.zeros(0, int), 0.03, 3.0)
+    assert not A.any()
+    assert not b.any()
+    assert cost == 0
+
+
+def test_a_wrong_vector_costs_at_most_the_square_of_the_width(exact):
+    x_prev = exact.x_prev.copy()
+    x_prev[exact.surface == WALL] += [300, 200]
+    wrong = two_view.Pair(exact.pair.rays_cur, to_rays(K, x_prev), x_prev, exact.sigma, K)
+    count = np.sum(exact.surface == WALL)
+    _, _, cost = two_view.normal_equations(wrong, exact.R, exact.t, CANYON, exact.surface, 0.0, 3)
+    assert cost == pytest.approx(9 * count, rel=1e-3)

@@ -1,0 +1,102 @@
+"""Camera motion of drawn canyons: exact, with noise, with outliers, on one plane."""
+
+from canyon import angle_between, CANYON, motion, MOTIONS, turn_between, views
+from mv_slapse.geometry import rotation
+from mv_slapse.planes import camera_motion
+import numpy as np
+import pytest
+
+THRESHOLD = 0.7 / 500
+
+
+@pytest.fixture(params=MOTIONS)
+def true_motion(request):
+    return motion(request.param)
+
+
+def disturbed(R, t, rng, size=0.01):
+    t = t + rng.normal(0, size, 3)
+    return rotation.exp(rng.normal(0, 0.2 * size, 3)) @ R, t / np.linalg.norm(t)
+
+
+def refined(scene, R, t):
+    pair = scene.pair
+    return camera_motion.refine(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, R, t)
+
+
+def five_points(scene):
+    pair = scene.pair
+    return camera_motion.from_essential_matrix(pair.rays_cur, pair.rays_prev, THRESHOLD)
+
+
+def test_robust_weight_and_cost_by_hand():
+    error, sigma = np.array([0.0, 1.0, -2.0]), np.array([1.0, 1.0, 2.0])
+    np.testing.assert_allclose(camera_motion.robust_weight(error, sigma), [1, 0.25, 0.25])
+    assert camera_motion.robust_cost(error, sigma) == pytest.approx(1 / 3)
+
+
+def test_five_points_give_the_motion_up_to_its_direction(true_motion):
+    scene = views(*true_motion)
+    (R, t), (R_too, opposite) = five_points(scene)
+    assert turn_between(R, scene.R) < 1e-4
+    assert min(angle_between(t, scene.t), angle_between(-t, scene.t)) < 1e-3
+    np.testing.assert_array_equal(R, R_too)
+    np.testing.assert_array_equal(t, -opposite)
+
+
+def test_no_essential_matrix_is_no_motion(monkeypatch):
+    rays = views(*motion('ahead')).pair.rays_cur
+    for answer in (None, np.full((3, 3), np.nan), np.zeros((0, 0))):
+        monkeypatch.setattr(camera_motion.cv2, 'findEssentialMat',
+                            lambda *args, E=answer, **settings: (E, None))
+        assert camera_motion.from_essential_matrix(rays, rays, THRESHOLD) == []
+
+
+def test_refined_motion_is_exact_without_noise(rng, true_motion):
+    scene = views(*true_motion)
+    # Blocks without parallax would hold a poor start's direction no better than they do noise.
+    fit = refined(scene, *disturbed(*true_motion, rng, 0.001))
+    assert turn_between(fit.R_cur_from_prev, scene.R) < 1e-9
+    assert angle_between(fit.t_cur_from_prev, scene.t) < 1e-8
+    assert np.linalg.norm(fit.t_cur_from_prev) == pytest.approx(1)
+    assert fit.cost < 1e-9
+
+
+def test_noise_and_outliers_cost_hundredths_of_a_degree(rng, true_motion):
+    scene = views(*true_motion, rng, sigma=0.3, outliers=0.4)
+    starts = five_points(scene)
+    t = max((t for _, t in starts), key=lambda t: t @ scene.t)
+    fit = refined(scene, starts[0][0], t)
+    assert np.degrees(turn_between(fit.R_cur_from_prev, scene.R)) < 0.04
+    assert np.degrees(angle_between(fit.t_cur_from_prev, scene.t)) < 0.5
+
+
+def test_one_plane_is_enough_from_a_start(rng):
+    scene = views(*motion('ahead'), rng, sigma=0.3, planes=CANYON[:1])
+    fit = refined(scene, *disturbed(scene.R, scene.t, rng))
+    assert np.degrees(turn_between(fit.R_cur_from_prev, scene.R)) < 0.1
+    assert np.degrees(angle_between(fit.t_cur_from_prev, scene.t)) < 1.0
+
+
+def test_errors_have_the_size_that_the_covariance_says(true_motion):
+    distances = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        scene = views(*true_motion, rng, sigma=0.3)
+        fit = refined(scene, *true_motion)
+        basis = rotation.tangent_basis(fit.t_cur_from_prev)
+        error = np.r_[rotation.log(scene.R @ fit.R_cur_from_prev.T),
+                      basis.T @ (scene.t - fit.t_cur_from_prev)]
+        lift = np.zeros((6, 5))
+        lift[:3, :3], lift[3:, 3:] = np.eye(3), basis
+        distances.append(error @ np.linalg.solve(lift.T @ fit.covariance @ lift, error))
+        np.testing.assert_allclose(fit.covariance[3:, 3:] @ fit.t_cur_from_prev, 0, atol=1e-12)
+    # Mean of 30 chi-squares with 5 degrees of freedom: 5 +- 0.58. The kernel costs a little.
+    assert 3.0 < np.mean(distances) < 8.0
+
+
+def test_a_standing_camera_gives_finite_numbers(rng):
+    scene = views(np.eye(3), np.zeros(3), rng, sigma=0.1)
+    fit = refined(scene, np.eye(3), np.array([0, 0, -1.0]))
+    assert np.all(np.isfinite(fit.covariance))
+    assert np.degrees(turn_between(fit.R_cur_from_prev, np.eye(3))) < 0.05

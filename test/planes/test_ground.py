@@ -1,0 +1,178 @@
+"""The ground: its prior, its track, the learned mounting, and finding it."""
+
+from dataclasses import replace
+
+from canyon import CANYON, motion, views
+from mv_slapse.geometry import plane as plane_geometry
+from mv_slapse.planes import ground
+from mv_slapse.planes.consensus import Depths
+from mv_slapse.planes.extraction import Rules
+from mv_slapse.planes.ground import GroundPrior, GroundTrack, Mount
+from numeric import jacobian
+import numpy as np
+import pytest
+
+ROAD = CANYON[0]
+UP = np.array([0, -1.0, 0])
+RULES = Rules(cut=3.0, min_macroblocks=20, trials=256, radius=96.0, max_planes=8,
+              max_uncertainty=0.2)
+FRESH = GroundPrior(UP, 0.07)
+
+
+def pitched(angle):
+    return np.array([0, -np.cos(angle), np.sin(angle)])
+
+
+def road_depths(rng, outliers=0.0, planes=CANYON, pixel_sigma=0.3):
+    """Return depths of the canyon with errors of a pixel share, and the mask of all blocks."""
+    scene = views(*motion('ahead'), planes=planes)
+    near = scene.surface >= 0
+    sigma = pixel_sigma / 100 * np.maximum(scene.rho[near], 0.05)
+    n = near.sum()
+    wrong = rng.uniform(size=n) < outliers
+    rho = np.where(wrong, scene.rho[near] * rng.uniform(0.05, 1, n),
+                   scene.rho[near] + sigma * rng.normal(size=n))
+    depths = Depths(scene.pair.rays_cur[near], rho, np.maximum(sigma, 1e-6), scene.x_cur[near])
+    return depths, scene.surface[near], wrong
+
+
+def test_a_mount_learns_the_pitch_from_the_course():
+    mount, course = Mount(), np.array([0, np.sin(-0.05), np.cos(-0.05)])
+    for _ in range(200):
+        mount = mount.learned(course, 0.01)
+    assert mount.normal @ course == pytest.approx(0, abs=1e-6)
+    assert np.linalg.norm(mount.normal) == pytest.approx(1)
+    np.testing.assert_allclose(mount.normal, [0, -np.cos(0.05), -np.sin(0.05)], atol=1e-6)
+    assert mount.spread == pytest.approx(0.01)
+
+
+def test_a_camera_that_climbs_and_sinks_keeps_a_wide_mount():
+    mount = Mount(spread=0.01)
+    for i in range(200):
+        angle = 0.3 * (-1) ** i
+        mount = mount.learned(np.array([0, np.sin(angle), np.cos(angle)]), 0.01)
+    assert mount.spread == mount.widest == 0.07
+
+
+def test_distance_counts_tilt_and_log_depth_in_standard_deviations():
+    prior = GroundPrior(UP, 0.02, inverse_depth=0.5, spread=0.1)
+    planes = np.array([0.5 * UP, 0.5 * pitched(0.04), 0.5 * np.exp(0.3) * UP, -0.5 * UP])
+    distance = prior.distance(planes)
+    np.testing.assert_allclose(distance[:3], [0, 4, 9], atol=1e-9)
+    assert distance[3] > 1e4
+    np.testing.assert_allclose(FRESH.distance(np.outer([0.1, 1, 9], UP)), 0, atol=1e-9)
+
+
+def test_information_is_half_the_hessian_of_the_distance():
+    prior = GroundPrior(pitched(0.1), 0.02, inverse_depth=0.5, spread=0.1)
+    mean, information = prior.information(0.5 * prior.normal)
+    np.testing.assert_allclose(mean, 0.5 * prior.normal)
+
+    def gradient(p):
+        return jacobian(lambda q: prior.distance(q[None])[0], p, 1e-4)
+
+    # The angle's arc cosine has no derivative at its centre: differentiate beside it.
+    beside = mean + 1e-2 * np.array([1, 1, 1.0]) * np.linalg.norm(mean)
+    step = beside - mean
+    np.testing.assert_allclose(gradient(beside) / 2, information @ step, rtol=0.05, atol=0.05
+                               * np.abs(information @ step).max())
+
+
+def test_a_ground_of_unknown_depth_informs_of_its_direction_only():
+    mean, information = FRESH.information(0.4 * pitched(0.02))
+    np.testing.assert_allclose(information @ UP, 0, atol=1e-9)
+    np.testing.assert_allclose(mean, 0.4 * UP)
+    assert information[0, 0] == pytest.approx(1 / (0.4 * 0.07) ** 2)
+
+
+@pytest.mark.parametrize('name', ['ahead', 'turning', 'backward'])
+def test_the_predicted_ground_is_the_moved_one(name):
+    R, t = motion(name)
+    track = GroundTrack(Mount(spread=10.0, widest=10.0), 4, ROAD, 0.05)
+    prior = track.prior(R, t, np.log(1.5), 0.01, 0.001)
+    # One baseline is now 1.5 old ones, so n / d grows by that, and then the camera moves.
+    expected = plane_geometry.transform(1.5 * ROAD, R, t)
+    np.testing.assert_allclose(prior.normal * prior.inverse_depth, expected, atol=1e-6)
+    assert prior.spread == pytest.approx(np.sqrt(0.05**2 + 0.01**2 + ground.HEIGHT_WOBBLE**2))
+
+
+def test_the_mounting_pulls_the_predicted_normal():
+    track = GroundTrack(Mount(spread=0.01), 4, 0.5 * pitched(0.1), 0.05)
+    prior = track.prior(np.eye(3), np.array([0, 0, -1e-9]), 0.0, 0.01, 0.01)
+    np.testing.assert_allclose(prior.normal, pitched(0.05), atol=1e-4)
+    assert prior.tilt == pytest.approx(0.01 / np.sqrt(2))
+
+
+def test_before_the_ground_is_found_only_the_mounting_is_known():
+    prior = GroundTrack(Mount(spread=0.03)).prior(*motion('ahead'), 0.0, np.inf, 0.01)
+    np.testing.assert_array_equal(prior.normal, UP)
+    assert prior.tilt == 0.03
+    assert np.isinf(prior.spread)
+
+
+def test_a_ground_not_seen_is_forgotten_in_the_end():
+    R, t = np.eye(3), np.array([0, 0, -1.0])
+    track = GroundTrack(Mount()).seen(4, ROAD, 0.02)
+    spreads = []
+    while track.plane is not None and len(spreads) < 100:
+        spreads.append(track.spread)
+        track = track.missed(track.prior(R, t, 0.0, 0.02, 0.01))
+    assert 5 < len(spreads) < 100
+    assert np.all(np.diff(spreads) > 0)
+    assert track.id == 4
+    assert np.isinf(track.spread)
+
+
+def test_the_road_is_found_exactly_without_noise(rng):
+    depths, surface, _ = road_depths(rng, pixel_sigma=0.0)
+    fit = ground.find_ground(depths, np.ones(len(depths), bool), FRESH, RULES, rng)
+    np.testing.assert_allclose(fit.plane, ROAD, atol=1e-5)
+    assert fit.is_ground
+    assert np.mean(surface[fit.member] == 0) > 0.98
+
+
+def test_forty_percent_wrong_vectors_cost_little(rng):
+    depths, surface, wrong = road_depths(rng, outliers=0.4)
+    fit = ground.find_ground(depths, np.ones(len(depths), bool), FRESH, RULES, rng)
+    normal, depth = plane_geometry.to_normal_depth(fit.plane)
+    assert depth == pytest.approx(1.6, rel=0.02)
+    assert normal @ UP > np.cos(np.radians(1))
+    right = (surface == 0) & ~wrong
+    assert fit.member[right].mean() > 0.7
+
+
+def test_a_pitched_road_within_the_prior_is_found_and_a_wall_is_not(rng):
+    tilted = pitched(0.08) / 1.6
+    depths, _, _ = road_depths(rng, planes=[tilted])
+    free = np.ones(len(depths), bool)
+    fit = ground.find_ground(depths, free, FRESH, RULES, rng)
+    assert fit.plane @ tilted / np.linalg.norm(tilted) ** 2 == pytest.approx(1, abs=0.03)
+    walls, _, _ = road_depths(rng, planes=CANYON[1:3])
+    fit = ground.find_ground(walls, np.ones(len(walls), bool), FRESH, RULES, rng)
+    assert fit is None or FRESH.distance(fit.plane[None])[0] < 9
+
+
+def test_what_lies_below_speaks_against_a_ground(rng):
+    depths, surface, _ = road_depths(rng)
+    # A table top above the road: fewer blocks agree with it than lie below.
+    table = (surface == 0) & (rng.uniform(size=len(surface)) < 0.2)
+    rho = np.where(table, 2 * depths.rho, depths.rho)
+    prior = GroundPrior(UP, 0.02, 2 / 1.6, 0.02)
+    mixed = replace(depths, rho=rho)
+    assert ground.find_ground(mixed, np.ones(len(rho), bool), prior, RULES, rng) is None
+
+
+def test_too_few_blocks_are_no_ground(rng):
+    depths, surface, _ = road_depths(rng)
+    free = np.zeros(len(depths), bool)
+    assert ground.find_ground(depths, free, FRESH, RULES, rng) is None
+    free[np.flatnonzero(surface == 0)[-(RULES.min_macroblocks - 1):]] = True
+    assert ground.find_ground(depths, free, FRESH, RULES, rng) is None
+    assert ground.find_ground(depths[free[:0]], free[:0], FRESH, RULES, rng) is None
+
+
+def test_a_road_far_from_where_it_was_is_not_believed(rng):
+    depths, _, _ = road_depths(rng)
+    elsewhere = GroundPrior(UP, 0.02, 2 / 1.6, 0.05)
+    free = np.ones(len(depths), bool)
+    assert ground.find_ground(depths, free, elsewhere, RULES, rng) is None
