@@ -60,3 +60,12 @@ def test_only_a_whole_i_frame_of_the_same_size_is_bridged(rng, change):
     whole = segment(pictures.sliding(rng, 2, (1, 0)))
     assert can_bridge(whole)
     assert not can_bridge(replace(whole, current=replace(whole.current, **change)))
+
+
+def test_a_match_that_does_not_lead_back_is_dropped(rng):
+    images = pictures.sliding(rng, 2, (3, 0))
+    images[1][:, :96] = pictures.texture(rng)[:pictures.HEIGHT, :96]  # something new came in
+    found = search(segment(images), MotionPrior(), SETTINGS)
+    new = found.x_cur[:, 0] < 80
+    assert np.count_nonzero(new) < 12
+    assert np.count_nonzero(~new) > 70
