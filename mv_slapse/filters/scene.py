@@ -241,10 +241,11 @@ class SceneFilter:
         for handover in handovers:
             if handover.to_label != Label.STATIONARY or handover.id in self._state.planes:
                 continue
-            covariance = handover.covariance[:3, :3]
             anchor = self._state.current.t.copy()
-            plane = handover.plane / (1 + handover.plane @ anchor)
-            self._state.add_plane(handover.id, AnchoredPlane(plane, anchor), covariance)
+            scale = 1 + handover.plane @ anchor
+            J = np.eye(3) / scale - np.outer(handover.plane, anchor) / scale**2
+            self._state.add_plane(handover.id, AnchoredPlane(handover.plane / scale, anchor),
+                                  J @ handover.covariance[:3, :3] @ J.T)
             self._map.adopt(handover.id, handover.stamp)
 
     def _release(self, extraction: Extraction) -> list[PlaneHandover]:
