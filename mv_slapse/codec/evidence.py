@@ -129,7 +129,8 @@ def _pairs(frame: FrameVectors) -> tuple[np.ndarray, np.ndarray]:
         index = np.flatnonzero(frame.direction == direction)
         rows[side, key[index]] = index
     past, future = rows[:, (rows >= 0).all(axis=0)]
-    same = (frame.block[past] == frame.block[future]).all(axis=1)
+    width, height = (frame.block[past] == frame.block[future]).T
+    same = width & height
     return past[same], future[same]
 
 

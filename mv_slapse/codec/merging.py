@@ -194,7 +194,8 @@ def _slots(evidence: Evidence, shape: tuple[int, int], settings: DecoderSettings
         table[at] = values[order]
         return table
 
-    area = evidence.block.astype(np.float32).prod(axis=1) / MACROBLOCK ** 2
+    width, height = evidence.block.astype(np.float32).T
+    area = width * height / MACROBLOCK ** 2
     heavy = np.float32(sqrt(2) if settings.paper_weights else 2)
     weight = np.where(evidence.variance < 2, heavy, 1) * area
     return _Slots(packed(evidence.x_cur), packed(evidence.vector, ABSENT), packed(weight),
