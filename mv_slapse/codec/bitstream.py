@@ -257,7 +257,7 @@ class Headers:
     def is_gap(self, header: SliceHeader | None) -> bool:
         """Return whether a reference picture is missing before this one, H.264 7.4.3.
 
-        Neither FFmpeg nor the container tells (ALGORITHM 2, trap 7).
+        Neither FFmpeg nor the container tells.
         """
         if header is None or self.sps.gaps_allowed:
             return False

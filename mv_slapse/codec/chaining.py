@@ -2,7 +2,7 @@
 
 At 30 frames a second two P frames see too little parallax to tell depth. A block of key frame k
 lies somewhere in k-1; what moved that place from k-1 to the frame before moves the block on, and
-so on to the anchor, the last key frame that was published (ALGORITHM 2, trap 5).
+so on to the anchor, the last key frame that was published.
 """
 
 from dataclasses import replace

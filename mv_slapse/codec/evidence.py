@@ -101,7 +101,7 @@ def bent(segment: Segment, frame: FrameVectors, settings: DecoderSettings):
 
     Over the tenth of a second of a segment the motion is nearly uniform, so the two vectors are
     opposite and as long as the two times. If not, one of them is wrong: H.264 also exports
-    vectors of lists that a block does not use (ALGORITHM 2, trap 3).
+    vectors of lists that a block does not use.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def halves(segment: Segment, settings: DecoderSettings) -> tuple[Segment, Segmen
     """Return a segment as two, with its middle B frame as a pose between its key frames.
 
     Where key frames lie so far apart that most of the direct vectors fail, the B frame's own
-    vectors, over half the distance, are good (ALGORITHM 2, "B frames are poses too"). The half
+    vectors, over half the distance, are good. The half
     after it holds the B frame's backward vectors, turned round.
     """
     # Of two B frames the first: in a pyramid it is the one that the other refers to.

@@ -24,7 +24,7 @@ class FrameVectors:
     displacement : (N, 2) float32
         From the block to its match in the reference picture [px].
     direction : (N,) int8
-        PAST or FUTURE: the list of references, never which of them (ALGORITHM 2, trap 2).
+        PAST or FUTURE: the list of references, never which of them.
     block : (N, 2) uint8
         Block width and height [px].
     references : int
