@@ -1,0 +1,234 @@
+"""Corrections of the scene: derivatives of each innovation, and the maximum of the posterior."""
+
+from canyon import angle_between, CANYON, motion, turn_between, views
+from mv_slapse.config import SceneSettings
+from mv_slapse.filters import ekf, scene_state, scene_update
+from mv_slapse.filters.scene_state import AnchoredPlane, Pose
+from mv_slapse.geometry import rotation, two_view
+from numeric import jacobian
+import numpy as np
+import pytest
+
+ROAD, IDS = 4, [4, 9, 11, 13]
+SIMPLE = SceneSettings(relief=0.0, depth_bias=0.0, dependence=1.0, iterations=20)
+
+
+def state_before(scene, rng, pose_sigma=0.02):
+    """Return a state whose pose errs as its covariance says, and whose planes are unknown."""
+    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
+    offset = np.r_[rng.normal(0, 0.1 * pose_sigma, 3), rng.normal(0, pose_sigma, 3)]
+    R = scene.R.T
+    state.current = Pose(R @ rotation.exp(offset[:3]), -R @ scene.t + offset[3:])
+    at = state.at('current')
+    state.error.P[at, at] = np.diag([(0.1 * pose_sigma)**2] * 3 + [pose_sigma**2] * 3)
+    for id_, plane in zip(IDS, scene.planes, strict=True):
+        # The anchor, as a new plane's, is the predicted position.
+        anchor = state.current.t.copy()
+        true = R @ plane / (1 + R @ plane @ (anchor + R @ scene.t))
+        state.add_plane(id_, AnchoredPlane(true * 1.05, anchor), 9 * (plane @ plane) * np.eye(3))
+    return state
+
+
+@pytest.fixture
+def scene(rng):
+    return views(*motion('ahead'), rng, 0.3)
+
+
+@pytest.fixture
+def state(rng, scene):
+    state = state_before(scene, rng, 0.1)
+    A = rng.normal(size=(state.size, state.size))
+    state.error.P = 1e-4 * A @ A.T
+    return state
+
+
+def updated(scene, state, settings=SIMPLE):
+    return scene_update.correspondences(state, np.zeros(state.size), scene.pair, scene.surface,
+                                        IDS, settings)
+
+
+def captured(monkeypatch, update, state):
+    """Return innovation, H and noise with which an update calls the linear one."""
+    with monkeypatch.context() as patch:
+        patch.setattr(scene_update, 'linear', lambda state, *arguments: arguments)
+        return update(state)
+
+
+LINEAR = {
+    'camera height': lambda s: scene_update.camera_height(s, ROAD, 1.65, 0.03),
+    'mounting': lambda s: scene_update.mounting(s, ROAD, 0.01),
+    'unit baseline': lambda s: scene_update.unit_baseline(s, 1e-3),
+    'baseline ratio': lambda s: scene_update.baseline_ratio(s, 0.1, 0.01, 0.006),
+    'level course': lambda s: scene_update.level_course(s, 0.02),
+}
+
+
+@pytest.mark.parametrize('name', LINEAR)
+def test_each_jacobian_is_the_numerical_one_of_its_innovation(monkeypatch, state, name):
+    update = LINEAR[name]
+    _, H, noise = captured(monkeypatch, update, state.moved(np.zeros(state.size)))
+    numerical = -jacobian(lambda e: captured(monkeypatch, update, state.moved(e))[0],
+                          np.zeros(state.size))
+    # The mount is a unit vector: an error along itself does not count.
+    at, along = state.at('mount'), np.outer(state.mount, state.mount)
+    H[:, at] -= H[:, at] @ along
+    np.testing.assert_allclose(H, numerical, rtol=1e-5, atol=1e-7)
+    assert np.all(np.diag(noise) > 0)
+
+
+def test_innovations_by_hand(monkeypatch):
+    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
+    state.current.t = np.array([0, 0.3, 2.0])
+    state.add_plane(ROAD, AnchoredPlane(np.array([0, -0.5, 0]), np.array([0, 0.3, 0])), np.eye(3))
+    state.depth_scale = 0.5
+    innovation = {name: captured(monkeypatch, update, state)[0] for name, update in LINEAR.items()
+                  if name != 'baseline ratio'}
+    np.testing.assert_allclose(innovation['camera height'], [1.65 - 2.0])
+    np.testing.assert_allclose(innovation['mounting'], 0, atol=1e-12)
+    np.testing.assert_allclose(innovation['unit baseline'], [1 - np.hypot(0.3, 2)])
+    # The camera sinks: its motion t points up against the mount's normal.
+    np.testing.assert_allclose(innovation['level course'], [-0.3 / np.hypot(0.3, 2)])
+    value = captured(monkeypatch, LINEAR['baseline ratio'], state)[0]
+    np.testing.assert_allclose(value, [np.log(np.hypot(0.3, 2)) - 0.6])
+    assert state.depth_scale == pytest.approx(0.6)
+
+
+def test_linear_update_is_that_of_the_filter(rng, state):
+    innovation, H, noise = rng.normal(size=2), rng.normal(size=(2, state.size)), np.diag([1.0, 2])
+    H[:, state.at('mount')] = 0
+    twin = ekf.State()
+    twin.add('all', np.zeros(state.size), state.P)
+    ekf.update(twin, innovation, H, noise)
+    S = H @ state.P @ H.T + noise
+    old = state.moved(np.zeros(state.size))
+    found, nis = scene_update.linear(state, innovation, H, noise)
+    np.testing.assert_allclose(found.P, twin.P, atol=1e-12)
+    np.testing.assert_allclose(old.error_to(found)[:12], twin.mu[:12], atol=1e-9)
+    np.testing.assert_allclose(found.velocity, old.velocity + twin.mu[12:15])
+    assert nis == pytest.approx(innovation @ np.linalg.inv(S) @ innovation)
+
+
+def test_camera_height_sets_the_depth_of_the_road(rng, scene):
+    state = state_before(scene, rng)
+    found, _ = scene_update.camera_height(state, ROAD, 1.65, 1e-4)
+    found, _ = scene_update.camera_height(found, ROAD, 1.65, 1e-4)
+    depth = 1 / np.linalg.norm(scene_state.plane_in_camera(found, ROAD))
+    assert depth == pytest.approx(1.65, abs=5e-3)
+
+
+def test_correspondences_find_the_pose_and_the_planes_exactly(rng):
+    scene = views(*motion('ahead'), sigma=0.1)
+    state = state_before(scene, rng)
+    # One of the six planes' unknowns and the baseline's length is a gauge: fix it.
+    state.current.t /= np.linalg.norm(state.current.t)
+    found = updated(scene, state, SIMPLE)
+    R, t = scene_state.relative_motion(found)
+    length = np.linalg.norm(t)
+    assert turn_between(R, scene.R) < 1e-5
+    assert angle_between(t, scene.t) < 1e-5
+    for id_, plane in zip(IDS, CANYON, strict=True):
+        np.testing.assert_allclose(scene_state.plane_in_camera(found, id_) * length, plane,
+                                   atol=2e-4)
+
+
+def test_the_update_is_the_maximum_of_the_posterior(rng, scene):
+    state = state_before(scene, rng)
+    P = state.P.copy()
+    found = updated(scene, state)
+    e = state.error_to(found)
+    for id_ in IDS:
+        e[state.at(id_)] = found.planes[id_].plane - state.planes[id_].plane
+
+    def cost(e):
+        moved = state.moved(e)
+        planes = np.array([scene_state.plane_in_camera(moved, id_) for id_ in IDS])
+        return two_view.normal_equations(scene.pair, *scene_state.relative_motion(moved), planes,
+                                         scene.surface, 0.0, 3.0)[2]
+
+    # Where prior and data balance: P^-1 e + gradient / 2 = 0, for a P that is singular.
+    gradient = jacobian(cost, e, 1e-6)
+    free = np.r_[state.at('current'), [i for id_ in IDS for i in np.r_[state.at(id_)]]]
+    sigma = np.sqrt(np.diag(found.P)[free])
+    # In units of what an error of one posterior standard deviation would change.
+    balance = (e + P @ gradient / 2)[free]
+    prior = np.linalg.inv(P[np.ix_(free, free)])
+    assert np.max(np.abs(prior @ balance * sigma)) < 0.05
+
+
+def test_covariance_is_the_inverse_of_prior_and_data_information(rng, scene):
+    state = state_before(scene, rng)
+    P = state.P.copy()
+    found = updated(scene, state)
+    planes = np.array([scene_state.plane_in_camera(found, id_) for id_ in IDS])
+    A, _, _ = two_view.normal_equations(scene.pair, *scene_state.relative_motion(found), planes,
+                                        scene.surface, 0.0, 3.0)
+    G = scene_state.observation_jacobian(found, IDS)
+    free = np.r_[state.at('current'), [i for id_ in IDS for i in np.r_[state.at(id_)]]]
+    at = np.ix_(free, free)
+    expected = np.linalg.inv(np.linalg.inv(P[at]) + (G.T @ A @ G)[at])
+    np.testing.assert_allclose(found.P[at], expected, rtol=1e-3, atol=1e-3 * expected.max())
+    np.testing.assert_array_equal(found.P, found.P.T)
+
+
+def test_errors_have_the_size_that_the_covariance_says():
+    distances = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        scene = views(*motion('ahead'), rng, 0.3)
+        found = updated(scene, state_before(scene, rng))
+        at = found.at('current')
+        error = np.r_[rotation.log(found.current.R.T @ scene.R.T),
+                      -scene.R.T @ scene.t - found.current.t]
+        distances.append(error @ np.linalg.solve(found.P[at, at], error))
+    # Mean of 30 chi-squares with 6 degrees of freedom: 6 +- 0.63. The kernel costs a little.
+    assert 4.0 < np.mean(distances) < 8.5
+
+
+def test_outliers_move_the_pose_by_little(rng):
+    scene = views(*motion('ahead'), rng, 0.3, outliers=0.3)
+    found = updated(scene, state_before(scene, rng))
+    R, t = scene_state.relative_motion(found)
+    assert np.degrees(turn_between(R, scene.R)) < 0.03
+    assert np.degrees(angle_between(t, scene.t)) < 0.3
+
+
+def test_without_planes_direction_and_turn_are_corrected_and_the_length_is_not(rng, scene):
+    state = state_before(scene, rng)
+    for id_ in IDS:
+        state.remove_plane(id_)
+    length = np.linalg.norm(state.current.t)
+    found = scene_update.correspondences(state, np.zeros(state.size), scene.pair,
+                                         np.full(len(scene.pair), -1), [], SIMPLE)
+    R, t = scene_state.relative_motion(found)
+    assert np.degrees(turn_between(R, scene.R)) < 0.03
+    assert np.degrees(angle_between(t, scene.t)) < 0.5
+    assert np.linalg.norm(t) == pytest.approx(length, rel=2e-3)
+
+
+def test_dependence_and_bias_widen_the_covariance(rng, scene):
+    traces = [np.trace(updated(scene, state_before(scene, rng), settings).P[6:12, 6:12])
+              for settings in (SIMPLE, SceneSettings(relief=0, depth_bias=0, dependence=8.0),
+                               SceneSettings(relief=0, depth_bias=0.1, dependence=8.0))]
+    assert traces[0] < traces[1] < traces[2]
+
+
+def test_common_errors_of_depths_do_not_add_up():
+    """Each pair's error is in its ratio and, negated, in the next: the way does not drift."""
+    errors, sigmas = [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        state = scene_state.start(np.array([0, -1.0, 0]), 0.1, 0.01, 0.05)
+        state.velocity = np.array([0, 0, 10.0])
+        scene_state.propagate(state, 0.1, 0.0, 0.0)
+        scene_state.begin_depth_scale(state, 0.006)
+        common = rng.normal(0, 0.006)
+        for _ in range(50):
+            scene_state.propagate(state, 0.1, 3.0, 0.1)
+            before, common = common, rng.normal(0, 0.006)
+            state, _ = scene_update.baseline_ratio(state, common - before, 1e-4, 0.006)
+        value, H = scene_state.log_baseline(state)
+        errors.append(value)
+        sigmas.append(np.sqrt(H @ state.P @ H))
+    # Errors that added up would be 0.006 * 50^0.5 = 0.04.
+    assert np.std(errors) < 0.015
+    assert 0.5 < np.std(errors) / np.mean(sigmas) < 1.5
