@@ -1,0 +1,242 @@
+"""The scene filter on drives with known truth: trajectory, scale, loss, standstill, hand-over."""
+
+from dataclasses import replace
+
+import canyon as canyon_views
+from mv_slapse.config import SceneSettings
+from mv_slapse.filters.scene import GROUND_PATIENCE, SceneFilter
+from mv_slapse.geometry import plane as plane_geometry
+from mv_slapse.geometry import rotation
+from mv_slapse.records import Label, MotionStatus, PlaneHandover, ScaleStatus, TrackingStatus
+import numpy as np
+import pytest
+from scene_drive import Canyon, GROUND, HEIGHT, SPEED, stamp
+
+METRIC = SceneSettings(camera_height=HEIGHT)
+WALL = 1
+
+
+def driven(canyon, n, settings=METRIC, filter_=None, first=1, **how):
+    """Return the estimates of key frames first to n."""
+    filter_ = filter_ or SceneFilter(settings)
+    return [filter_.step(canyon.extraction(k, **how))[0] for k in range(first, n + 1)]
+
+
+def position_errors(canyon, estimates, first=1, scale=1.0):
+    return [np.linalg.norm(scale * e.t_world_from_cam - canyon.pose(first + i)[1])
+            for i, e in enumerate(estimates)]
+
+
+def turn_errors(canyon, estimates, first=1):
+    return [canyon_views.turn_between(e.R_world_from_cam, canyon.pose(first + i)[0])
+            for i, e in enumerate(estimates)]
+
+
+def assert_is_covariance(P):
+    np.testing.assert_allclose(P, P.T, atol=1e-12)
+    assert np.linalg.eigvalsh(P).min() > -1e-9
+
+
+def test_without_noise_the_trajectory_is_exact():
+    canyon = Canyon()
+    estimates = driven(canyon, 30)
+    assert max(position_errors(canyon, estimates)) < 0.02
+    assert max(turn_errors(canyon, estimates)) < 1e-3
+    last = estimates[-1]
+    assert all(e.status is TrackingStatus.OK for e in estimates)
+    R = canyon.pose(30)[0]
+    np.testing.assert_allclose(last.velocity_world, SPEED * R[:, 2], atol=0.3)
+    np.testing.assert_allclose(last.omega_cam, [0, canyon.yaw_rate, 0], atol=0.01)
+    assert last.baseline == pytest.approx(0.1 * SPEED, rel=0.01)
+    assert (last.scale_status, last.scale_source) == (ScaleStatus.METRIC, 'camera height')
+
+
+def test_with_noise_the_trajectory_stays_within_a_bound(rng):
+    canyon = Canyon(rng, 0.4)
+    estimates = driven(canyon, 40)
+    assert max(position_errors(canyon, estimates)) < 0.01 * SPEED * 4  # 1 % of 32 m
+    assert np.degrees(max(turn_errors(canyon, estimates))) < 0.3
+    for plane in estimates[-1].planes[:3]:
+        normal, depth = plane_geometry.to_normal_depth(canyon.planes(0)[plane.id])
+        assert canyon_views.angle_between(plane.normal, normal) < np.radians(1.0)
+        assert plane.depth == pytest.approx(depth, rel=0.05)
+        assert_is_covariance(plane.covariance)
+
+
+def test_without_camera_height_the_first_translation_is_the_unit():
+    canyon = Canyon()
+    estimates = driven(canyon, 30, SceneSettings())
+    assert estimates[0].baseline == pytest.approx(1.0, abs=1e-3)
+    assert max(position_errors(canyon, estimates, scale=0.1 * SPEED)) < 0.1
+    assert estimates[-1].scale_status is ScaleStatus.UNKNOWN
+    assert estimates[-1].scale_source == 'first translation'
+
+
+def test_known_planes_carry_the_scale_where_no_ratio_is_known():
+    canyon = Canyon()
+    estimates = driven(canyon, 20, SceneSettings(), ratio=False)
+    assert estimates[-1].baseline == pytest.approx(1.0, abs=0.05)
+    assert estimates[-1].status is TrackingStatus.OK
+
+
+def test_errors_have_the_size_that_the_covariance_says():
+    settings = replace(METRIC, relief=0.0, depth_bias=0.01, dependence=1.5)
+    distances = []
+    for seed in range(12):
+        canyon = Canyon(np.random.default_rng(seed), 0.4)
+        last = driven(canyon, 15, settings)[-1]
+        R, t = canyon.pose(15)
+        error = np.r_[t - last.t_world_from_cam, rotation.log(R @ last.R_world_from_cam.T)]
+        distances.append(error @ np.linalg.solve(last.pose_covariance, error))
+        assert_is_covariance(last.pose_covariance)
+        assert_is_covariance(last.twist_covariance)
+    # Six degrees of freedom. Height and scale are held by priors wider than this noise.
+    assert 0.5 < np.mean(distances) < 9
+
+
+def test_a_lost_pair_is_predicted_and_the_filter_goes_on():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    before = driven(canyon, 10, filter_=filter_)[-1]
+    gap = [filter_.step(canyon.blank(k))[0] for k in (11, 12)]
+    assert [e.status for e in gap] == [TrackingStatus.PREDICTED] * 2
+    assert gap[0].reason == 'the packet was lost'
+    volumes = [np.trace(e.pose_covariance) for e in (before, *gap)]
+    assert volumes[0] < volumes[1] < volumes[2]
+    assert max(position_errors(canyon, gap, 11)) < 0.1
+    after = driven(canyon, 20, filter_=filter_, first=13)
+    assert after[0].status is TrackingStatus.OK
+    assert max(position_errors(canyon, after, 13)) < 0.3
+    assert np.trace(after[-1].pose_covariance) < volumes[-1] * 3
+
+
+def test_lost_comes_after_lost_after_and_ends_with_a_view(rng):
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    driven(canyon, 5, filter_=filter_)
+    statuses = [filter_.step(canyon.blank(k))[0].status for k in range(6, 20)]
+    # Ten key frames are a second: lost_after.
+    assert statuses == [TrackingStatus.PREDICTED] * 10 + [TrackingStatus.LOST] * 4
+    estimate = filter_.step(canyon.blank(20))[0]
+    assert 'nothing observed for 1.5 s' in estimate.reason
+    found = driven(canyon, 21, filter_=filter_, first=21)[0]
+    assert found.status is TrackingStatus.OK
+    np.testing.assert_allclose(found.R_world_from_cam, canyon.pose(21)[0], atol=0.05)
+
+
+def test_before_the_first_motion_it_is_initialising_at_the_origin():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    first = filter_.step(canyon.blank(1, reason='11 motion vectors'))[0]
+    assert (first.status, first.reason) == (TrackingStatus.INITIALISING, '11 motion vectors')
+    np.testing.assert_array_equal(first.t_world_from_cam, 0)
+    np.testing.assert_array_equal(first.R_world_from_cam, np.eye(3))
+
+
+def test_a_standing_camera_does_not_drift_by_a_bit():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    before = driven(canyon, 10, filter_=filter_)[-1]
+    for k in range(11, 60):
+        still = filter_.step(canyon.blank(k, MotionStatus.STANDSTILL, ''))[0]
+    np.testing.assert_array_equal(still.t_world_from_cam, before.t_world_from_cam)
+    np.testing.assert_array_equal(still.R_world_from_cam, before.R_world_from_cam)
+    np.testing.assert_array_equal(still.pose_covariance, before.pose_covariance)
+    np.testing.assert_array_equal(np.r_[still.velocity_world, still.omega_cam], 0)
+    assert still.status is TrackingStatus.OK
+    assert still.baseline == 0
+    assert_is_covariance(filter_._state.P)
+
+
+def test_a_camera_that_stands_from_the_start_is_ok():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    first = filter_.step(canyon.blank(1, MotionStatus.STANDSTILL, ''))[0]
+    assert first.status is TrackingStatus.OK
+    np.testing.assert_array_equal(first.t_world_from_cam, 0)
+
+
+def test_it_drives_on_after_standing():
+    def way(time):
+        """Brake from 8 m/s at 4 m/s^2, stand half a second, pull away at 3 m/s^2."""
+        braking, away = min(time, 2.0), max(time - 2.5, 0.0)
+        return 8 * braking - 2 * braking**2 + 1.5 * away**2
+
+    canyon, filter_ = Canyon(way=way), SceneFilter(METRIC)
+    driven(canyon, 20, filter_=filter_)
+    for k in range(21, 26):
+        filter_.step(canyon.blank(k, MotionStatus.STANDSTILL, ''))
+    after = driven(canyon, 45, filter_=filter_, first=26)
+    assert max(position_errors(canyon, after, 26)) < 0.1
+    assert after[-1].velocity_world @ canyon.pose(45)[0][:, 2] == pytest.approx(6.0, abs=0.3)
+
+
+def test_a_plane_that_moves_is_handed_to_the_tracker():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    driven(canyon, 5, filter_=filter_)
+    extraction = canyon.extraction(6)
+    planes = [replace(p, label=Label.MOVING) if p.id == WALL else p for p in extraction.planes]
+    estimate, leaving = filter_.step(replace(extraction, planes=tuple(planes)))
+    assert [(h.id, h.to_label, h.stamp) for h in leaving] == [(WALL, Label.MOVING, stamp(6))]
+    np.testing.assert_allclose(leaving[0].plane, canyon.planes(0)[WALL], atol=2e-3)
+    assert WALL not in [plane.id for plane in estimate.planes]
+
+
+def test_a_plane_that_has_come_to_rest_joins_the_map():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    driven(canyon, 5, filter_=filter_)
+    plane = np.array([0, 0, -1 / 20])
+    joining = PlaneHandover(stamp(6), 70, Label.STATIONARY, plane, np.zeros(3), 1e-6 * np.eye(6))
+    leaving = replace(joining, id=71, to_label=Label.MOVING)
+    estimate, _ = filter_.step(canyon.extraction(6), [joining, leaving])
+    found = {plane.id: plane for plane in estimate.planes}
+    assert 71 not in found
+    np.testing.assert_allclose(found[70].normal, [0, 0, -1], atol=1e-6)
+    assert found[70].depth == pytest.approx(20, abs=1e-3)
+
+
+def test_planes_without_support_are_forgotten_after_their_lifetime():
+    canyon, filter_ = Canyon(), SceneFilter(replace(METRIC, plane_lifetime=0.35))
+    driven(canyon, 5, filter_=filter_)
+    ids = []
+    for k in range(6, 11):
+        extraction = canyon.extraction(k)
+        planes = tuple(p for p in extraction.planes if p.id != WALL)
+        estimate, _ = filter_.step(replace(extraction, planes=planes))
+        ids.append([plane.id for plane in estimate.planes])
+    assert [WALL in seen for seen in ids] == [True, True, True, False, False]
+
+
+def test_a_ground_that_contradicts_the_map_is_not_believed_at_once():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    driven(canyon, 10, filter_=filter_)
+    for k in range(11, 11 + GROUND_PATIENCE):
+        extraction = canyon.extraction(k)
+        floor = extraction.planes[GROUND]
+        wrong = replace(floor, plane=1.6 * floor.plane)
+        estimate, _ = filter_.step(replace(extraction, planes=(wrong, *extraction.planes[1:])))
+        assert np.linalg.norm(estimate.t_world_from_cam - canyon.pose(k)[1]) < 0.1
+
+
+def test_with_no_known_plane_and_no_ratio_the_length_is_predicted():
+    canyon, filter_ = Canyon(), SceneFilter(SceneSettings())
+    driven(canyon, 10, SceneSettings(), filter_)
+    bare = replace(canyon.extraction(11, ratio=False), planes=())
+    estimate, _ = filter_.step(bare)
+    assert estimate.status is TrackingStatus.PREDICTED
+    assert 'its length is predicted' in estimate.reason
+    assert canyon_views.turn_between(estimate.R_world_from_cam, canyon.pose(11)[0]) < 2e-3
+
+
+def test_a_ground_found_later_makes_the_scale_metric():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    for k in range(1, 6):
+        extraction = canyon.extraction(k)
+        estimate, _ = filter_.step(replace(extraction, planes=extraction.planes[1:]))
+    assert estimate.scale_status is ScaleStatus.UNKNOWN
+    assert estimate.baseline == pytest.approx(1.0, abs=0.05)
+    last = driven(canyon, 15, filter_=filter_, first=6)[-1]
+    assert last.scale_status is ScaleStatus.METRIC
+    assert np.linalg.norm(last.t_world_from_cam - canyon.pose(15)[1]) < 0.2
+
+
+def test_the_same_extractions_give_the_same_bits():
+    runs = [driven(Canyon(np.random.default_rng(4), 0.4), 10) for _ in range(2)]
+    for one, two in zip(*runs, strict=True):
+        np.testing.assert_array_equal(one.t_world_from_cam, two.t_world_from_cam)
+        np.testing.assert_array_equal(one.pose_covariance, two.pose_covariance)
