@@ -37,8 +37,9 @@ $(PACKAGE): $(LIBRARIES) .setup/package.sh setup.py setup.cfg package.xml $(wild
 
 messages: $(MESSAGES) ## generate the messages of msg_defs into .venv
 
-config: setup ## write config/*.yaml from the settings
+config: setup ## write config/*.yaml and docs/parameters.md from the settings
 	@$(RUN) python -m mv_slapse.tools.parameter_files config
+	@$(RUN) python -m mv_slapse.tools.parameter_table docs/parameters.md
 
 demo: setup ## render a street with known truth, run everything on it, write out/demo
 	@$(RUN) mv_slapse demo -o out/demo
