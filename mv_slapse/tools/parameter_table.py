@@ -31,7 +31,8 @@ def text() -> str:
 def _section(prefix: str, kind: type, nodes: list[str]) -> str:
     rows = [COLUMNS, ('---',) * len(COLUMNS), *(_row(prefix, item) for item in fields(kind))]
     table = '\n'.join(f'| {" | ".join(row)} |' for row in rows)
-    return f'\n## {kind.__doc__.splitlines()[0].rstrip(".")}\n\nOf {", ".join(nodes)}.\n\n{table}\n'
+    title = kind.__doc__.splitlines()[0].rstrip('.')
+    return f'\n## {title}\n\nOf {", ".join(nodes)}.\n\n{table}\n'
 
 
 def _row(prefix: str, item: Field) -> tuple[str, ...]:
