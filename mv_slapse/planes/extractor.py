@@ -257,7 +257,7 @@ class PlaneExtractor:
         self._memory = Memory(
             blank.stamp, found.fit, lattice.paint(*size, blank.x_cur, blank.block, plane_id),
             blank.previous_stamp, track, noise, self._memory.next_id,
-            scale.depth_map(*size, blank.x_cur, blank.block, evidence.rho, evidence.sigma_rho,
+            scale.depth_map(*size, blank.x_cur, evidence.rho, evidence.sigma_rho,
                             _with_depth(evidence)))
 
 
