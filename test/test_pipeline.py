@@ -191,7 +191,7 @@ def test_a_step_holds_what_went_in_and_every_hand_over(straight):
 
 
 @pytest.mark.parametrize(('name', 'percent', 'rigid_percent'), [
-    ('mpeg2.mpg', 0.6, 2.5), ('h264_lowlatency.mp4', 0.6, 1.5)])
+    ('mpeg2.mpg', 0.4, 2.5), ('h264_lowlatency.mp4', 0.4, 1.5)])
 def test_sixty_frames_of_a_real_street_are_followed(data, name, percent, rigid_percent):
     folder = data / 'kitti00'
     camera = read_camera(folder / 'camera.yaml')
@@ -200,7 +200,9 @@ def test_sixty_frames_of_a_real_street_are_followed(data, name, percent, rigid_p
     with open_source(folder / name) as source:
         for packet, _ in zip(source.packets(), range(60), strict=False):
             steps += [slapse.step(pair) for pair in decoder.feed(packet)]
-    scenes = [step.scene for step in steps]
+    # The given poses begin at a speed that is constant to a millimetre a frame, while the
+    # pictures show the car gather speed: what comes before 1.5 s is left out.
+    scenes = [step.scene for step in steps if step.scene.stamp > 1_500_000_000]
     estimate = Trajectory(
         np.array([s.stamp for s in scenes]), np.array([s.t_world_from_cam for s in scenes]),
         Rotation.from_matrix([s.R_world_from_cam for s in scenes]).as_quat())
