@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from canyon import turn_between
+from mv_slapse import pipeline
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.codec.source import open_source
 from mv_slapse.config import DecoderSettings, SceneSettings, Settings
@@ -182,12 +183,39 @@ def test_until_something_is_seen_it_stays_at_the_origin_and_says_so():
     np.testing.assert_array_equal(steps[-1].scene.R_world_from_cam, np.eye(3))
 
 
-def test_a_step_holds_what_went_in_and_every_hand_over(straight):
+def test_a_step_holds_what_went_in(straight):
     pair = drawn(STREET, 1)[0]
     assert straight[0].correspondences.stamp == pair.stamp
     assert all(s.scene.stamp == s.extraction.stamp == s.correspondences.stamp for s in straight)
-    assert isinstance(straight[0].obstacles, tuple)
-    assert isinstance(straight[0].handovers, tuple)
+
+
+def test_hand_overs_reach_the_tracker_at_once_and_the_scene_at_the_next_step(monkeypatch):
+    received = []
+
+    class Scene:
+        def __init__(self, settings):
+            self.step_number = 0
+
+        def step(self, extraction, handovers):
+            received.append(('scene', list(handovers)))
+            self.step_number += 1
+            return f'scene {self.step_number}', [f'moves {self.step_number}']
+
+    class Tracker:
+        def __init__(self, settings):
+            pass
+
+        def step(self, extraction, scene, handovers):
+            received.append((scene, list(handovers)))
+            return ['obstacle'], [f'rests after {scene}']
+
+    monkeypatch.setattr(pipeline, 'SceneFilter', Scene)
+    monkeypatch.setattr(pipeline, 'ObstacleTracker', Tracker)
+    steps = run(STREET, drawn(STREET, 2))
+    assert received == [('scene', []), ('scene 1', ['moves 1']),
+                        ('scene', ['rests after scene 1']), ('scene 2', ['moves 2'])]
+    assert steps[0].handovers == ('moves 1', 'rests after scene 1')
+    assert steps[0].obstacles == ('obstacle',)
 
 
 @pytest.mark.parametrize(('name', 'percent', 'rigid_percent'), [

@@ -8,6 +8,7 @@ from mv_slapse.filters.scene import GROUND_PATIENCE, SceneFilter
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
 from mv_slapse.records import Label, MotionStatus, PlaneHandover, ScaleStatus, TrackingStatus
+from numeric import jacobian
 import numpy as np
 import pytest
 from scene_drive import Canyon, GROUND, HEIGHT, SPEED, stamp
@@ -49,6 +50,27 @@ def test_without_noise_the_trajectory_is_exact():
     np.testing.assert_allclose(last.omega_cam, [0, canyon.yaw_rate, 0], atol=0.01)
     assert last.baseline == pytest.approx(0.1 * SPEED, rel=0.01)
     assert (last.scale_status, last.scale_source) == (ScaleStatus.METRIC, 'camera height')
+
+
+def test_one_linearisation_at_the_motion_seen_is_nearly_enough():
+    canyon = Canyon()
+    estimates = driven(canyon, 10, replace(METRIC, iterations=1))
+    assert max(position_errors(canyon, estimates)) < 0.02
+
+
+def test_pose_covariance_is_about_the_axes_of_the_world():
+    canyon, filter_ = Canyon(yaw_rate=0.6), SceneFilter(METRIC)
+    last = driven(canyon, 15, filter_=filter_)[-1]
+    state = filter_._state
+
+    def pose(e):
+        moved = state.moved(e).current
+        return np.r_[moved.t, rotation.log(moved.R @ state.current.R.T)]
+
+    J = jacobian(pose, np.zeros(state.size))
+    scale = np.sqrt(np.diag(last.pose_covariance))
+    np.testing.assert_allclose(last.pose_covariance / np.outer(scale, scale),
+                               J @ state.P @ J.T / np.outer(scale, scale), atol=1e-4)
 
 
 def test_with_noise_the_trajectory_stays_within_a_bound(rng):
@@ -232,6 +254,9 @@ def test_a_ground_found_later_makes_the_scale_metric():
     assert estimate.baseline == pytest.approx(1.0, abs=0.05)
     last = driven(canyon, 15, filter_=filter_, first=6)[-1]
     assert last.scale_status is ScaleStatus.METRIC
+    # Outlines have changed their unit too: the wall ends where the street does, after 30 m.
+    wall = next(plane for plane in last.planes if plane.id == WALL)
+    assert wall.outline[:, 2].max() < 31
     assert np.linalg.norm(last.t_world_from_cam - canyon.pose(15)[1]) < 0.2
 
 

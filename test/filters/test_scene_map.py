@@ -92,17 +92,17 @@ def test_the_outline_holds_all_blocks_of_the_plane_in_reach(canyon, observed):
 
 def test_an_outline_grows_and_ends_where_a_grazing_ray_means_nothing(canyon):
     state, known = state_at(canyon, 3), SceneMap()
-    extraction = canyon.extraction(3)
-    low = replace(extraction, plane_id=np.where(extraction.x_cur[:, 1] > 400, extraction.plane_id,
-                                                -1).astype(np.int32))
-    spans = []
-    for shown in (low, extraction):
-        known.observe(state, shown, list(state.planes))
-        outline = known.planes(state)[GROUND].outline
-        spans.append(np.ptp(outline[:, 2]))
-        reach = np.linalg.norm(outline - state.current.t, axis=1)
-        assert reach.max() < 1.6 * scene_map.FARTHEST * 1.5
-    assert spans[1] > spans[0]
+    extraction, depth = canyon.extraction(3), []
+    row = extraction.x_cur[:, 1]
+    for rows in (row > 400, (row > 245) & (row < 400)):  # near blocks, then to the horizon
+        on_road = np.where(rows, GROUND, -1).astype(np.int32)
+        known.observe(state, replace(extraction, plane_id=on_road), list(state.planes))
+        outline = (known.planes(state)[GROUND].outline - state.current.t) @ state.current.R
+        depth.append((outline[:, 2].min(), outline[:, 2].max()))
+    assert depth[0][1] < 6
+    assert depth[1][0] == pytest.approx(depth[0][0], abs=1e-3)
+    # The lowest row under the horizon is at 1.6 m / (8 px / 510 px) = 102 m.
+    assert 20 < depth[1][1] < 1.6 * scene_map.FARTHEST
 
 
 def test_history_counts_key_frames_in_which_a_plane_was_seen(canyon, observed):

@@ -72,10 +72,11 @@ def test_information_is_half_the_hessian_of_the_distance():
         return jacobian(lambda q: prior.distance(q[None])[0], p, 1e-4)
 
     # The angle's arc cosine has no derivative at its centre: differentiate beside it.
-    beside = mean + 1e-2 * np.array([1, 1, 1.0]) * np.linalg.norm(mean)
-    step = beside - mean
-    np.testing.assert_allclose(gradient(beside) / 2, information @ step, rtol=0.05, atol=0.05
-                               * np.abs(information @ step).max())
+    for direction in (prior.normal, [1.0, 0, 0], np.cross(prior.normal, [1, 0, 0])):
+        step = 0.01 * np.linalg.norm(mean) * np.array(direction)
+        expected = information @ step
+        np.testing.assert_allclose(gradient(mean + step) / 2, expected,
+                                   atol=0.05 * np.abs(expected).max())
 
 
 def test_a_ground_of_unknown_depth_informs_of_its_direction_only():
