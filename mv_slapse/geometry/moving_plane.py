@@ -61,11 +61,11 @@ def transfer(theta: np.ndarray, rays: np.ndarray, centre: np.ndarray, K: np.ndar
 
     Parameters
     ----------
-    theta : (5,) or (6,) array
-        Rate and slope.
+    theta : (5,), (6,) or (N, 5) array
+        Rate and slope, of one plane or for each ray.
     rays : (N, 3) array
         Of key frame k.
-    centre : (2,) array
+    centre : (2,) or (N, 2) array
         First two coordinates of the centre's ray.
     K, R_cur_from_prev : (3, 3) arrays
 
@@ -76,12 +76,12 @@ def transfer(theta: np.ndarray, rays: np.ndarray, centre: np.ndarray, K: np.ndar
     jacobian : (N, 2, 5) array
         By rate and slope.
     """
-    g, offset = theta[RATE], rays[:, :2] - centre
-    w = 1 + offset @ theta[SLOPE]
-    x = (rays - w[:, None] * g) @ R_cur_from_prev @ K.T
+    g, offset, KR = theta[..., RATE], rays[:, :2] - centre, K @ R_cur_from_prev.T
+    w = 1 + np.sum(offset * theta[..., SLOPE], axis=1)
+    x = (rays - w[:, None] * g) @ KR.T
     by_theta = np.empty((len(rays), 3, 5))
-    by_theta[:, :, RATE] = -w[:, None, None] * (K @ R_cur_from_prev.T)
-    by_theta[:, :, SLOPE] = -(K @ R_cur_from_prev.T @ g)[:, None] * offset[:, None, :]
+    by_theta[:, :, RATE] = -w[:, None, None] * KR
+    by_theta[:, :, SLOPE] = -(g @ KR.T)[..., :, None] * offset[:, None, :]
     x_prev = x[:, :2] / x[:, 2:]
     lost = by_theta[:, :2] - x_prev[:, :, None] * by_theta[:, 2:]
     return x_prev, lost / x[:, 2, None, None]

@@ -6,6 +6,7 @@ variance shows in the covariance where the vectors add nothing.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from mv_slapse.geometry import moving_plane
 from mv_slapse.geometry.camera import to_rays
@@ -16,6 +17,7 @@ import numpy as np
 
 MIN_BLOCKS = 4
 ITERATIONS = 10
+CONVERGED = 1e-3  # [sigma^2] by which the next iteration would lower the cost
 INLIER = 3.0  # [sigma], also the scale of the robust kernel
 YAW_SIGMA = 1.0  # tangent of the angle between a surface and the picture plane
 UPRIGHT_SIGMA = {True: 0.3, False: 0.5}  # the same against the vertical; ground known or not
@@ -61,22 +63,65 @@ class MovingPlane:
 
 
 @dataclass(frozen=True)
-class _Region:
-    """What the fit reads: rays, matches and noise of one region."""
+class Regions:
+    """Blocks of several regions, one region after the other.
+
+    Attributes
+    ----------
+    rays : (N, 3) float64
+        Of key frame k.
+    x_prev, sigma : (N, 2), (N,) float64
+        Matches in the previous key frame and their standard deviation [px].
+    first : (R,) int
+        Where each region begins.
+    """
 
     rays: np.ndarray
     x_prev: np.ndarray
     sigma: np.ndarray
-    K: np.ndarray
-    R_cur_from_prev: np.ndarray
-    centre: np.ndarray
+    first: np.ndarray
 
-    def errors(self, theta):
-        """Return errors (N, 2) and Jacobian (N, 2, 5), both in standard deviations."""
-        x_prev, jacobian = moving_plane.transfer(theta, self.rays, self.centre, self.K,
-                                                 self.R_cur_from_prev)
-        return ((self.x_prev - x_prev) / self.sigma[:, None],
-                jacobian / self.sigma[:, None, None])
+    @property
+    def size(self) -> np.ndarray:
+        """Return the number of blocks of each region, (R,)."""
+        return np.diff(self.first, append=len(self.rays))
+
+    def rank(self, values: np.ndarray, share: float) -> np.ndarray:
+        """Return the value (R,) below which a share of each region's values (N,) lies."""
+        order = np.lexsort((values, np.repeat(np.arange(len(self.first)), self.size)))
+        return values[order[self.first + np.round(share * (self.size - 1)).astype(int)]]
+
+
+class Surfaces(NamedTuple):
+    """Moving planes of several regions, their gauge still open.
+
+    Attributes
+    ----------
+    theta, normal : (R, 5), (R, 5, 5) float64
+        Rate and slope as in geometry.moving_plane, and the normal matrix of their estimate.
+    centre : (R, 2) float64
+        First two coordinates of the ray they are about.
+    squared : (N,) float64
+        Squared error of each block in standard deviations.
+    inlier : (N,) bool
+    variance : (R,) float64
+        Of the inliers' errors: 1 where they scatter as sigma says.
+    """
+
+    theta: np.ndarray
+    normal: np.ndarray
+    centre: np.ndarray
+    squared: np.ndarray
+    inlier: np.ndarray
+    variance: np.ndarray
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Return the covariance (R, 5, 5) of theta.
+
+        Vectors that scatter more than their sigma says widen it; none narrow it.
+        """
+        return np.linalg.inv(self.normal) * np.maximum(1.0, self.variance)[:, None, None]
 
 
 def time_to_contact(closing: float, variance: float, dt: float) -> tuple[float, float]:
@@ -99,7 +144,7 @@ def time_to_contact(closing: float, variance: float, dt: float) -> tuple[float, 
 
 
 def fit_moving_plane(x_cur, x_prev, sigma, block, K, R_cur_from_prev, t_cur_from_prev,
-                     ground=None, previous=None) -> MovingPlane | None:
+                     ground=None) -> MovingPlane | None:
     """Estimate the plane and the displacement of a moving region, (12) of [MVO].
 
     Parameters
@@ -115,8 +160,6 @@ def fit_moving_plane(x_cur, x_prev, sigma, block, K, R_cur_from_prev, t_cur_from
         the unit is the ground's).
     ground : (3,) array, optional
         Ground plane n / d in camera k, in the same unit.
-    previous : MovingPlane, optional
-        The region's estimate of the previous pair, a start for the iteration.
 
     Returns
     -------
@@ -125,93 +168,115 @@ def fit_moving_plane(x_cur, x_prev, sigma, block, K, R_cur_from_prev, t_cur_from
     """
     if len(x_cur) < MIN_BLOCKS:
         return None
-    rays = to_rays(K, np.asarray(x_cur, float))
-    region = _Region(rays, np.asarray(x_prev, float), np.asarray(sigma, float), K,
-                     R_cur_from_prev, _middle(rays[:, :2]))
-    rows, values = _tilt_prior(ground, region.centre)
-    best = min((_minimise(region, start, rows, values) for start in _starts(region, previous)),
-               key=lambda fit: _cost(region, fit[0]))
-    return _settled(region, *best, np.asarray(x_cur, float), np.asarray(block, float),
-                    np.asarray(t_cur_from_prev, float), ground)
+    x_cur = np.asarray(x_cur, float)
+    region = Regions(to_rays(K, x_cur), np.asarray(x_prev, float), np.asarray(sigma, float),
+                     np.zeros(1, int))
+    fit = fit_surfaces(region, K, R_cur_from_prev, ground)
+    return _settled(fit, x_cur, np.asarray(block, float), K, np.asarray(t_cur_from_prev, float),
+                    ground)
 
 
-def _middle(x):
-    """Middle of the range, which a few blocks lost on one side do not move as they do a mean."""
-    return 0.5 * (np.quantile(x, 0.05, axis=0) + np.quantile(x, 0.95, axis=0))
+def fit_surfaces(regions: Regions, K: np.ndarray, R_cur_from_prev: np.ndarray,
+                 ground: np.ndarray | None) -> Surfaces:
+    """Estimate rate and slope of all regions at once: robust Gauss-Newton, (12) of [MVO].
+
+    Parameters
+    ----------
+    regions : Regions
+        At least one.
+    K, R_cur_from_prev : (3, 3), (3, 3) arrays
+    ground : (3,) array or None
+        Ground plane n / d in camera k, any unit: it tells what is upright.
+    """
+    rays, size = regions.rays[:, :2], regions.size
+    # The middle of the range does not move, as a mean does, with a few blocks lost on one side.
+    centre = np.stack([0.5 * (regions.rank(x, 0.05) + regions.rank(x, 0.95)) for x in rays.T], 1)
+    theta = np.zeros((len(centre), 5))
+    parallax = rays - derotate(to_rays(K, regions.x_prev), R_cur_from_prev)[:, :2]
+    theta[:, :2] = np.stack([regions.rank(m, 0.5) for m in parallax.T], 1)
+    prior = _tilt_prior(ground, centre)
+    for _ in range(ITERATIONS):
+        error, jacobian = _errors(regions, theta, centre, K, R_cur_from_prev)
+        normal, slope = _normal_equations(regions, theta, error, jacobian, *prior)
+        step = np.linalg.solve(normal, slope[:, :, None])[:, :, 0]
+        theta += step
+        if np.all(np.sum(step * slope, axis=1) < CONVERGED):
+            break
+    squared = np.sum(_errors(regions, theta, centre, K, R_cur_from_prev)[0]**2, axis=1)
+    inlier = squared < 2 * INLIER**2
+    n = np.add.reduceat(inlier.astype(float), regions.first)
+    variance = np.add.reduceat(squared * inlier, regions.first) / np.maximum(2 * n - 5, 1)
+    # A region of wrong vectors only must not look exact.
+    variance[n < 0.5 * size] = np.inf
+    return Surfaces(theta, normal, centre, squared, inlier, variance)
+
+
+def _errors(regions, theta, centre, K, R_cur_from_prev):
+    """Return errors (N, 2) and Jacobian (N, 2, 5), both in standard deviations."""
+    size = regions.size
+    x_prev, jacobian = moving_plane.transfer(
+        np.repeat(theta, size, axis=0), regions.rays, np.repeat(centre, size, axis=0), K,
+        R_cur_from_prev)
+    return ((regions.x_prev - x_prev) / regions.sigma[:, None],
+            jacobian / regions.sigma[:, None, None])
+
+
+def _normal_equations(regions, theta, error, jacobian, rows, values):
+    """Return normal matrices (R, 5, 5) and right sides (R, 5) with robust weights and priors."""
+    squared = np.sum(error**2, axis=1)
+    # Geman-McClure: a vector far off counts for nothing, so the mean cannot be dragged. While
+    # the start is bad the kernel is as wide as what half of the vectors reach.
+    width = np.repeat(np.maximum(2 * INLIER**2, 4 * regions.rank(squared, 0.5)), regions.size)
+    weighted = jacobian / ((1 + squared / width)**2)[:, None, None]
+    normal = np.add.reduceat(np.swapaxes(weighted, 1, 2) @ jacobian, regions.first)
+    slope = np.add.reduceat(np.sum(weighted * error[:, :, None], axis=1), regions.first)
+    normal[:, SLOPE, SLOPE] += np.swapaxes(rows, 1, 2) @ rows
+    missing = values - np.sum(rows * theta[:, None, SLOPE], axis=2)
+    slope[:, SLOPE] += np.sum(rows * missing[:, :, None], axis=1)
+    # A growth of 1 in a pair is beyond any use; this keeps a column of blocks solvable.
+    normal[:, 2, 2] += 1.0
+    slope[:, 2] -= theta[:, 2]
+    return normal, slope
 
 
 def _tilt_prior(ground, centre):
-    """Return rows (2, 2) and values (2,) of the prior on (A, B), in standard deviations.
+    """Return rows (R, 2, 2) and values (R, 2) of the prior on (A, B), in standard deviations.
 
     Upright: the plane's normal ~ w is perpendicular to the ground's.
     """
     down = LEVEL if ground is None else ground / np.linalg.norm(ground)
     upright = 1 / UPRIGHT_SIGMA[ground is not None]
-    rows = np.array([[1 / YAW_SIGMA, 0.0], upright * (down[:2] - down[2] * centre)])
-    return rows, np.array([0.0, -upright * down[2]])
+    rows = np.zeros((len(centre), 2, 2))
+    rows[:, 0, 0] = 1 / YAW_SIGMA
+    rows[:, 1] = upright * (down[:2] - down[2] * centre)
+    return rows, np.tile([0.0, -upright * down[2]], (len(centre), 1))
 
 
-def _starts(region, previous):
-    """Yield starts (5,): the median motion, and the previous pair's estimate."""
-    still = derotate(to_rays(region.K, region.x_prev), region.R_cur_from_prev)
-    yield np.r_[np.median(region.rays[:, :2] - still[:, :2], axis=0), 0.0, 0.0, 0.0]
-    if previous is not None:
-        yield np.r_[-previous.product @ np.r_[region.centre, 1.0], 0.0, 0.0]
-
-
-def _minimise(region, theta, rows, values):
-    """Return theta (5,) and its normal matrix after robust Gauss-Newton with the tilt's prior."""
-    for _ in range(ITERATIONS):
-        error, jacobian = region.errors(theta)
-        squared = np.sum(error**2, axis=1)
-        # Geman-McClure: a vector far off counts for nothing, so the mean cannot be dragged. While
-        # the start is bad the kernel is as wide as what half of the vectors reach.
-        weight = 1 / (1 + squared / max(2 * INLIER**2, 4 * np.median(squared)))**2
-        normal = np.einsum('nij,n,nik->jk', jacobian, weight, jacobian)
-        slope = np.einsum('nij,n,ni->j', jacobian, weight, error)
-        normal[SLOPE, SLOPE] += rows.T @ rows
-        slope[SLOPE] += rows.T @ (values - rows @ theta[SLOPE])
-        # A growth of 1 in a pair is beyond any use; this keeps a column of blocks solvable.
-        normal[2, 2] += 1.0
-        slope[2] -= theta[2]
-        theta = theta + np.linalg.solve(normal, slope)
-    return theta, normal
-
-
-def _cost(region, theta):
-    """Return the truncated squared error."""
-    return np.sum(np.minimum(np.sum(region.errors(theta)[0]**2, axis=1), INLIER**2))
-
-
-def _settled(region, theta, normal, x_cur, block, t_cur_from_prev, ground):
-    """Return the MovingPlane of a fit, or None where too few vectors agree."""
-    squared = np.sum(region.errors(theta)[0]**2, axis=1)
-    inlier = squared < 2 * INLIER**2
-    n = int(inlier.sum())
-    if n < max(MIN_BLOCKS, 0.5 * len(x_cur)) or not np.all(np.isfinite(theta)):
+def _settled(fit, x_cur, block, K, t_cur_from_prev, ground):
+    """Return the MovingPlane of a fit of one region, or None where too few vectors agree."""
+    inlier, theta, centre = fit.inlier, fit.theta[0], fit.centre[0]
+    if inlier.sum() < max(MIN_BLOCKS, 0.5 * len(x_cur)) or not np.all(np.isfinite(theta)):
         return None
-    # Vectors that scatter more than their sigma says widen the covariance; none narrow it.
-    variance = np.sum(squared[inlier]) / max(2 * n - 5, 1)
     covariance = np.zeros((6, 6))
-    covariance[:5, :5] = np.linalg.inv(normal) * max(1.0, variance)
-    log_depth, gauge, prior = _gauge(theta, region, x_cur[inlier], block[inlier],
+    covariance[:5, :5] = fit.covariance[0]
+    log_depth, gauge, prior = _gauge(theta, centre, K, x_cur[inlier], block[inlier],
                                      t_cur_from_prev, ground)
     by_theta = np.vstack([np.eye(5, 6), gauge[:6]])
     covariance = by_theta @ covariance @ by_theta.T
     covariance[LOG_DEPTH, LOG_DEPTH] += gauge[6]
     full = np.r_[theta, log_depth]
-    state, jacobian = moving_plane.to_plane(full, region.centre, t_cur_from_prev)
-    return MovingPlane(state[:3], state[3:], moving_plane.product(full, region.centre),
+    state, jacobian = moving_plane.to_plane(full, centre, t_cur_from_prev)
+    return MovingPlane(state[:3], state[3:], moving_plane.product(full, centre),
                        jacobian @ covariance @ jacobian.T, prior, -theta[2], covariance[2, 2],
-                       region.centre, inlier, float(np.sqrt(variance)))
+                       centre, inlier, float(np.sqrt(fit.variance[0])))
 
 
-def _gauge(theta, region, x_cur, block, t_cur_from_prev, ground):
+def _gauge(theta, centre, K, x_cur, block, t_cur_from_prev, ground):
     """Return ln Z, its (derivative by theta (6,), variance) as (7,), and the prior used."""
     gauge = np.zeros(7)
     if ground is not None:
-        found = moving_plane.contact_depth(ground, moving_plane.contact(x_cur, block), region.K,
-                                           theta[SLOPE], region.centre)
+        found = moving_plane.contact_depth(ground, moving_plane.contact(x_cur, block), K,
+                                           theta[SLOPE], centre)
         if found is not None:
             gauge[SLOPE], gauge[6] = found.by_slope, found.variance
             return found.value, gauge, ScalePrior.GROUND_CONTACT

@@ -2,24 +2,19 @@
 
 Definition 1 of [MVO] judges each block by itself, and a wrong vector looks like a moving object
 to it. Here blocks that move alike are joined first, a moving plane is fitted to each region, and
-the region is judged as a whole by two questions:
-
-* Does any depth at or above the ground explain it as a still surface? Its rate g must then be
-  rho t, with rho at least the ground's (direction, epipolar and below-ground constraints in one).
-* Does it stand where it seems to be? An oncoming car looks like something still and nearer, which
-  would hover over the ground that is seen right below it (the magnitude constraint).
-
-The answers are squared distances. They are summed over key frame pairs along the vectors, so
-that a slow mover becomes one in time and a wrong vector, which does not last, does not.
+the region is judged as a whole (planes.region_scores). Its score is summed over key frame pairs
+along the vectors, so that a slow mover becomes one in time and a wrong vector, which does not
+last, does not.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from mv_slapse.geometry import epipolar, moving_plane
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice
-from mv_slapse.planes.moving import fit_moving_plane, MovingPlane
+from mv_slapse.planes.moving import fit_moving_plane, fit_surfaces, MovingPlane, Regions
+from mv_slapse.planes.region_scores import outlines, scores
 from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -31,46 +26,30 @@ REACH = 24.0  # px between centres of neighbours
 ALIKE = (1.0, 0.12)  # px, share of the longer one: by how much neighbours' vectors may differ
 LEAST = 4  # blocks, and as many macroblocks less a half
 LEAST_SIGMA = 0.25  # px, of a vector on a small surface, whatever the pair's calibration says
-BIAS = 0.35  # px that a region's vectors have in common
 ON_GROUND = 0.2  # share of the ground's inverse depth within which a block is ground
-BELOW_GROUND = 0.75  # share of the ground's inverse depth below which nothing still can be
-LEAST_DROP = 12.0  # px below the horizon from which on a lower edge tells something
-LOWEST, TALLEST = 0.35, 2.0  # heights of a camera, of what may be a vehicle or a person
-RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane,
-WIDE = 250.0  # px, if it is as wide as this
-HOVER_SIGMA = 0.15  # of the log of apparent over ground's inverse depth: the edge's block
-STEP = 60.0  # largest part of the score of one pair
 FADING = 0.7  # of the score from pair to pair
 
 
 @dataclass(frozen=True)
-class Region:
-    """Blocks that move alike, and how badly a still surface explains them.
+class Memory:
+    """Regions of the previous key frame.
 
     Attributes
     ----------
-    member : (M,) int
-        Indices of its correspondences.
-    fit : MovingPlane
-    score : float
-        Sum of squared distances beyond what noise gives.
-    id : int
-        -1 until it is called moving.
+    stamp : int or None
+    grid : array or None
+        Number of the region that holds each cell, -1 for none.
+    score : (R,) float64
+        Of each region.
+    id : (R,) int
+        Of each region, -1 where it is not called moving.
+    next_id : int
     """
-
-    member: np.ndarray
-    fit: MovingPlane
-    score: float
-    id: int = -1
-
-
-@dataclass(frozen=True)
-class Memory:
-    """Regions of the previous key frame: a grid of their numbers, and the regions."""
 
     stamp: int | None = None
     grid: np.ndarray | None = None
-    regions: tuple[Region, ...] = ()
+    score: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    id: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     next_id: int = FIRST_ID
 
 
@@ -114,18 +93,17 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     """
     motion_field = _motion_field(extraction, ground)
     came_from = _origin(extraction, memory)
-    regions = [_scored(extraction, motion_field, member, came_from, memory)
-               for member in _alike(motion_field)]
-    regions = [region for region in regions if region is not None]
-    regions, next_id = _named(regions, came_from, memory, threshold)
-    numbers = np.full(len(extraction.x_cur), -1, np.int32)
-    for i, region in enumerate(regions):
-        numbers[region.member] = i
+    members = _alike(motion_field)
+    before = _majority(members, came_from, len(memory.score))
+    score = _scored(extraction, motion_field, members) + np.where(
+        before >= 0, FADING * np.append(memory.score, 0.0)[before], 0.0)
+    ids, next_id = _named(members, score, np.append(memory.id, -1)[before], memory.next_id,
+                          threshold)
     grid = lattice.paint(extraction.width, extraction.height, extraction.x_cur,
-                         extraction.block, numbers)
-    moving = [region for region in regions if region.id >= 0]
-    moving = _grown(extraction, motion_field, moving)
-    return _labelled(extraction, moving), Memory(extraction.stamp, grid, tuple(regions), next_id)
+                         extraction.block, _numbers(members, len(extraction.x_cur)))
+    moving = {int(ids[i]): members[i] for i in np.flatnonzero(ids >= 0)}
+    return (_labelled(extraction, motion_field, moving),
+            Memory(extraction.stamp, grid, score, ids, next_id))
 
 
 def _motion_field(extraction, ground):
@@ -196,125 +174,99 @@ def _bridges(motion_field, a, b):
     return motion_field.ground_like & found[0] & found[1]
 
 
-def _scored(extraction, motion_field, member, came_from, memory):
-    """Return the Region of a set of blocks with its score, None where no plane fits."""
-    motion = extraction.motion
-    x = motion_field.x[member]
-    sigma = np.maximum(extraction.sigma[member], LEAST_SIGMA)
-    fit = fit_moving_plane(x, extraction.x_prev[member], sigma, motion_field.block[member],
-                           extraction.K, motion.R_cur_from_prev, motion.t_cur_from_prev,
-                           motion_field.ground)
-    if fit is None:
-        return None
-    score = float(np.clip(_distance(extraction, motion_field, x, member, fit), -5, STEP))
-    number = _majority(came_from[member])
-    if number >= 0:
-        score += FADING * memory.regions[number].score
-    return Region(member, fit, score)
+def _scored(extraction, motion_field, members):
+    """Return the score (R,) of each region in this pair; 0 where no plane fits."""
+    if not members:
+        return np.zeros(0)
+    at = np.concatenate(members)
+    first = np.cumsum([0] + [len(member) for member in members[:-1]])
+    K, motion = extraction.K, extraction.motion
+    regions = Regions(to_rays(K, motion_field.x[at]), extraction.x_prev[at].astype(float),
+                      np.maximum(extraction.sigma[at], LEAST_SIGMA).astype(float), first)
+    fit = fit_surfaces(regions, K, motion.R_cur_from_prev, motion_field.ground)
+    outline = outlines(motion_field.x[at], motion_field.block[at], first, K, motion_field.ground)
+    fits = np.isfinite(fit.variance)
+    fit = fit._replace(variance=np.where(fits, fit.variance, 1.0))
+    score = scores(fit, outline, K, motion.t_cur_from_prev, motion_field.x,
+                   motion_field.ground_like)
+    return np.where(fits, score, 0.0)
 
 
-def _distance(extraction, motion_field, x, member, fit):
-    """Return how far a region is from all still surfaces, less what noise gives."""
-    t, K = extraction.motion.t_cur_from_prev, extraction.K
-    theta, by_state = moving_plane.from_plane(fit.plane, fit.t_d, fit.centre, t)
-    rate = theta[moving_plane.RATE]
-    size = np.ptp(x, axis=0) + lattice.MACROBLOCK
-    bias = np.r_[BIAS / np.diag(K)[:2], BIAS / (0.5 * np.min(size))]
-    # A surface that is not one plane shifts its rate by a share of it.
-    shape = (RELIEF * np.linalg.norm(rate) * min(1.0, np.max(size) / WIDE))**2
-    W = np.linalg.inv((by_state @ fit.covariance @ by_state.T)[:3, :3] + np.diag(bias**2 + shape))
-    apparent, sigma = (rate @ W @ t) / (t @ W @ t), 1 / np.sqrt(t @ W @ t)
-    contact = moving_plane.contact(x, motion_field.block[member])
-    under, drop = _ground_at(motion_field.ground, contact, K)
-    # The lower edge may lie a block higher than it seems, where the ground is farther.
-    least = BELOW_GROUND * under * max(drop - lattice.MACROBLOCK, 0) / drop if drop > 0 else 0
-    error = rate - max(apparent, least) * t
-    distance = error @ W @ error - 3
-    if not drop > LEAST_DROP:
-        return distance
-    if size[1] < LOWEST * drop:
-        # Flat on the road: wrong vectors of the road, as no vehicle is that low.
-        return min(distance, 0.0)
-    if size[1] > TALLEST * drop:
-        return distance
-    return distance + _hovering(motion_field, x, contact, apparent / under, sigma / under, size)
+def _majority(members, came_from, n):
+    """Return the previous region (R,) that at least half of the blocks of each come from, or -1.
+
+    ``n`` is the number of previous regions.
+    """
+    if not members or not n:
+        return np.full(len(members), -1)
+    size = np.array([len(member) for member in members])
+    at, number = came_from[np.concatenate(members)], np.repeat(np.arange(len(members)), size)
+    table = np.bincount((number * n + at)[at >= 0], minlength=len(members) * n).reshape(-1, n)
+    return np.where(2 * table.sum(axis=1) >= size, table.argmax(axis=1), -1)
 
 
-def _ground_at(ground, contact, K):
-    """Return the ground's inverse depth at a lower edge and its rows below the horizon."""
-    if ground is None or ground[1] >= 0:
-        return 0.0, 0.0
-    under = -ground @ np.linalg.solve(K, np.r_[contact.point, 1.0])
-    return under, under / (-ground[1] / K[1, 1])
+def _named(members, score, before, next_id, threshold):
+    """Return the ids (R,) of regions that move: of the region they come from, or a new one."""
+    ids, taken = np.full(len(members), -1), set()
+    # What was called moving is given up later than it was found.
+    moves = score >= np.where(before >= 0, 0.5, 1.0) * threshold
+    for i in sorted(np.flatnonzero(moves), key=lambda i: -len(members[i])):
+        ids[i] = before[i] if before[i] >= 0 and before[i] not in taken else next_id
+        next_id += int(ids[i] == next_id)
+        taken.add(ids[i])
+    return ids, next_id
 
 
-def _hovering(motion_field, x, contact, ratio, sigma, size):
-    """Return the squared distance of a region from standing on the ground seen right below."""
-    if ratio < 1.2:
-        return 0.0
-    across = np.abs(motion_field.x[:, 0] - contact.point[0]) < size[0] / 2
-    below = motion_field.x[:, 1] - contact.point[1]
-    seen = across & (below > 0) & (below < 1.75 * lattice.MACROBLOCK)
-    if not seen.any() or motion_field.ground_like[seen].mean() <= 0.5:
-        return 0.0
-    return (np.log(ratio) / np.hypot(HOVER_SIGMA, sigma / ratio))**2 - 1
+def _numbers(members, n):
+    """Return the number of the region that each of n blocks belongs to, -1 for none."""
+    numbers = np.full(n, -1, np.int32)
+    for i, member in enumerate(members):
+        numbers[member] = i
+    return numbers
 
 
-def _majority(numbers):
-    """Return the number that at least half of the blocks have, else -1."""
-    known = numbers[numbers >= 0]
-    if 2 * len(known) < len(numbers):
-        return -1
-    return int(np.argmax(np.bincount(known)))
-
-
-def _named(regions, came_from, memory, threshold):
-    """Give ids to the regions that move: that of the region they come from, or a new one."""
-    named, taken, next_id = [], set(), memory.next_id
-    for region in sorted(regions, key=lambda item: -len(item.member)):
-        number = _majority(came_from[region.member])
-        before = memory.regions[number].id if number >= 0 else -1
-        # What was called moving is given up later than it was found.
-        if region.score >= (0.5 if before >= 0 else 1.0) * threshold:
-            id_ = before if before >= 0 and before not in taken else next_id
-            next_id += id_ == next_id
-            taken.add(id_)
-            region = replace(region, id=id_)
-        named.append(region)
-    return named, next_id
-
-
-def _grown(extraction, motion_field, moving):
+def _grown(extraction, motion_field, members, fits):
     """Add the blocks in and around each moving region that move with its plane, not the ground."""
     free = ~motion_field.ground_like
-    for region in moving:
-        free[region.member] = False
+    for member in members:
+        free[member] = False
     grown = []
-    for region in sorted(moving, key=lambda item: -len(item.member)):
-        x = motion_field.x[region.member]
+    for member, fit in zip(members, fits, strict=True):
+        x = motion_field.x[member]
         low, high = x.min(axis=0) - lattice.MACROBLOCK, x.max(axis=0) + lattice.MACROBLOCK
         near = np.flatnonzero(free & np.all((motion_field.x >= low) & (motion_field.x <= high),
                                             axis=1))
-        H = moving_plane.homography(region.fit.product, extraction.K,
-                                    extraction.motion.R_cur_from_prev)
+        H = moving_plane.homography(fit.product, extraction.K, extraction.motion.R_cur_from_prev)
         error = np.linalg.norm(transfer(H, motion_field.x[near]) - extraction.x_prev[near], axis=1)
         length = np.linalg.norm(motion_field.parallax[near], axis=1)
         joins = near[error < ALIKE[0] + ALIKE[1] * length]
         free[joins] = False
-        grown.append(replace(region, member=np.r_[region.member, joins]))
+        grown.append(np.r_[member, joins])
     return grown
 
 
-def _labelled(extraction, moving):
-    """Write the moving regions down, over what their blocks were taken for."""
+def _fitted(extraction, motion_field, member) -> MovingPlane | None:
+    """Return the moving plane of a region."""
+    motion = extraction.motion
+    return fit_moving_plane(
+        motion_field.x[member], extraction.x_prev[member],
+        np.maximum(extraction.sigma[member], LEAST_SIGMA), motion_field.block[member],
+        extraction.K, motion.R_cur_from_prev, motion.t_cur_from_prev, motion_field.ground)
+
+
+def _labelled(extraction, motion_field, moving):
+    """Write moving regions {id: member} down, over what their blocks were taken for."""
     label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
+    moving = dict(sorted(moving.items(), key=lambda item: -len(item[1])))
+    fits = {id_: _fitted(extraction, motion_field, member) for id_, member in moving.items()}
+    fits = {id_: fit for id_, fit in fits.items() if fit is not None}
+    grown = _grown(extraction, motion_field, [moving[id_] for id_ in fits], fits.values())
     found = []
-    for region in moving:
-        label[region.member] = Label.MOVING
-        plane_id[region.member] = region.id
-        fit = region.fit
+    for (id_, fit), member in zip(fits.items(), grown, strict=True):
+        label[member] = Label.MOVING
+        plane_id[member] = id_
         found.append(PlaneObservation(
-            region.id, Label.MOVING, fit.plane, fit.covariance, fit.t_d, fit.product,
-            fit.scale_prior, False, lattice.count_macroblocks(extraction.x_cur[region.member])))
+            id_, Label.MOVING, fit.plane, fit.covariance, fit.t_d, fit.product,
+            fit.scale_prior, False, lattice.count_macroblocks(extraction.x_cur[member])))
     return replace(extraction, label=label, plane_id=plane_id,
                    planes=(*extraction.planes, *found))

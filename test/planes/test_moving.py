@@ -2,7 +2,13 @@
 
 from drawn_movers import CAMERA_HEIGHT, Drive, DT, K, Mover
 from mv_slapse.geometry import moving_plane
-from mv_slapse.planes.moving import fit_moving_plane, time_to_contact
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.planes.moving import (
+    fit_moving_plane,
+    fit_surfaces,
+    Regions,
+    time_to_contact,
+)
 from mv_slapse.records import ScalePrior
 import numpy as np
 import pytest
@@ -33,7 +39,7 @@ class Case:
         columns = {'x_prev': self.x_prev, 'sigma': self.sigma, **changed}
         return fit_moving_plane(self.x, columns['x_prev'], columns['sigma'],
                                 np.full(self.x.shape, 16), K, self.R, self.t,
-                                self.ground if ground else None, columns.get('previous'))
+                                self.ground if ground else None)
 
     def truth(self):
         """Return plane and t_d in units of the baseline."""
@@ -159,9 +165,18 @@ def test_third_of_wrong_vectors_does_not_matter(case, rng):
     assert abs(fit.closing - clean.closing) < 3 * sigma
 
 
-def test_previous_estimate_changes_nothing_where_the_vectors_are_clear(case):
-    fit = case.fit(previous=case.fit())
-    np.testing.assert_allclose(fit.product, case.fit().product, atol=1e-4)
+def test_regions_fitted_together_are_as_fitted_alone(rng):
+    cases = [Case(CARS['slower'], 0.3, rng), Case(CARS['oncoming'], 0.3, rng)]
+    x = np.concatenate([case.x for case in cases])
+    both = fit_surfaces(Regions(
+        to_rays(K, x), np.concatenate([case.x_prev for case in cases]), np.full(len(x), 0.3),
+        np.array([0, len(cases[0].x)])), K, cases[0].R, cases[0].ground)
+    for i, case in enumerate(cases):
+        fit = case.fit()
+        np.testing.assert_allclose(both.centre[i], fit.centre)
+        np.testing.assert_allclose(both.theta[i, :3],
+                                   -fit.product @ [*fit.centre, 1], rtol=1e-2, atol=1e-4)
+        assert both.covariance[i, 2, 2] == pytest.approx(fit.closing_variance, rel=0.02)
 
 
 def test_few_or_contradicting_vectors_give_nothing(rng):
