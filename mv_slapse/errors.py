@@ -13,7 +13,7 @@ class UsageError(MvSlapseError):
     exit_code = 2
 
 
-class UnusableInput(MvSlapseError):
+class UnusableInput(MvSlapseError):  # noqa: N818 (the input is at fault, no error is)
     """A video, bag or camera file that cannot be used."""
 
     exit_code = 3
