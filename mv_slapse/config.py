@@ -144,8 +144,7 @@ class SceneSettings(Checked):
     angular_acceleration: float = setting(
         1.0, 'rad/s^1.5', 'random walk of the angular velocity', 0.0)
     ground_slope: float = setting(
-        0.01, 'rad/m^0.5', 'random walk of the ground normal along the way; with free scale per '
-        'root of a thousandth of it', 0.0)
+        0.01, 'rad/m^0.5', 'random walk of the ground normal along the way', 0.0)
     relief: float = setting(
         0.03, '-', 'depth of a surface about its plane, as a share of depth', 0.0, 1.0)
     depth_bias: float = setting(

@@ -111,12 +111,12 @@ class SceneFilter:
         scene_state.propagate(state, dt, density, settings.angular_acceleration)
         ground = self._map.ground
         if ground in state.planes:
-            at = state.at(ground)
-            length = np.linalg.norm(state.planes[ground].plane)
-            # A slope changes over metres: with free scale the camera's height is the only
-            # length at hand, and a vehicle's camera rides about 1.5 m above its road.
-            metres = speed * dt * (1.0 if self._progress.metric else 1.5 * length)
-            state.error.P[at, at] += np.eye(3) * (settings.ground_slope * length) ** 2 * metres
+            # The road bends below the vehicle, so about its place; a vehicle's camera rides some
+            # 1.5 m high, which tells metres where the scale is free.
+            scene_state.move_anchor(state, ground, state.previous.t)
+            height = 1 / np.linalg.norm(state.planes[ground].plane)
+            metres = speed * dt * (1.0 if self._progress.metric else 1.5 / height)
+            scene_state.bend(state, ground, settings.ground_slope * np.sqrt(metres))
 
     def _unsupported(self, stamp: int, reason: str):
         """Judge a pose that is predicted only."""

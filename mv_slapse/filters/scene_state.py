@@ -231,3 +231,21 @@ def begin_depth_scale(state: SceneState, sigma: float):
     Q = np.zeros_like(F)
     Q[at, at] = sigma**2
     ekf.predict(state.error, state.error.mu, F, Q)
+
+
+def move_anchor(state: SceneState, id: int, anchor: np.ndarray):
+    """Express a plane about another anchor (3,) in {W}; what is known of it stays the same."""
+    old = state.planes[id]
+    offset = anchor - old.anchor
+    scale = 1 + old.plane @ offset
+    F = np.eye(state.size)
+    at = state.at(id)
+    F[at, at] = np.eye(3) / scale - np.outer(old.plane, offset) / scale**2
+    state.planes[id] = AnchoredPlane(old.plane / scale, anchor.copy())
+    ekf.predict(state.error, state.error.mu, F, np.zeros_like(F))
+
+
+def bend(state: SceneState, id: int, sigma: float):
+    """Let a plane's normal walk by ``sigma`` [rad] about its anchor, where its depth stays."""
+    at, plane = state.at(id), state.planes[id].plane
+    state.error.P[at, at] += sigma**2 * (plane @ plane * np.eye(3) - np.outer(plane, plane))
