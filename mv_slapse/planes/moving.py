@@ -6,6 +6,7 @@ variance shows in the covariance where the vectors add nothing.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 from mv_slapse.geometry import moving_plane
@@ -17,7 +18,7 @@ import numpy as np
 
 MIN_BLOCKS = 4
 ITERATIONS = 10
-CONVERGED = 1e-3  # [sigma^2] by which the next iteration would lower the cost
+CONVERGED = 1e-2  # [sigma^2] by which the next iteration would lower the cost
 INLIER = 3.0  # [sigma], also the scale of the robust kernel
 YAW_SIGMA = 1.0  # tangent of the angle between a surface and the picture plane
 UPRIGHT_SIGMA = {True: 0.3, False: 0.5}  # the same against the vertical; ground known or not
@@ -81,14 +82,19 @@ class Regions:
     sigma: np.ndarray
     first: np.ndarray
 
-    @property
+    @cached_property
     def size(self) -> np.ndarray:
         """Return the number of blocks of each region, (R,)."""
         return np.diff(self.first, append=len(self.rays))
 
+    @cached_property
+    def number(self) -> np.ndarray:
+        """Return the number of each block's region, (N,)."""
+        return np.repeat(np.arange(len(self.first)), self.size)
+
     def rank(self, values: np.ndarray, share: float) -> np.ndarray:
         """Return the value (R,) below which a share of each region's values (N,) lies."""
-        order = np.lexsort((values, np.repeat(np.arange(len(self.first)), self.size)))
+        order = np.lexsort((values, self.number))
         return values[order[self.first + np.round(share * (self.size - 1)).astype(int)]]
 
 
@@ -122,6 +128,12 @@ class Surfaces(NamedTuple):
         Vectors that scatter more than their sigma says widen it; none narrow it.
         """
         return np.linalg.inv(self.normal) * np.maximum(1.0, self.variance)[:, None, None]
+
+    def only(self, i: int, regions: Regions) -> 'Surfaces':
+        """Return the surface of region i alone."""
+        one, its = slice(i, i + 1), slice(regions.first[i], regions.first[i] + regions.size[i])
+        return Surfaces(self.theta[one], self.normal[one], self.centre[one], self.squared[its],
+                        self.inlier[its], self.variance[one])
 
 
 def time_to_contact(closing: float, variance: float, dt: float) -> tuple[float, float]:
@@ -172,8 +184,8 @@ def fit_moving_plane(x_cur, x_prev, sigma, block, K, R_cur_from_prev, t_cur_from
     region = Regions(to_rays(K, x_cur), np.asarray(x_prev, float), np.asarray(sigma, float),
                      np.zeros(1, int))
     fit = fit_surfaces(region, K, R_cur_from_prev, ground)
-    return _settled(fit, x_cur, np.asarray(block, float), K, np.asarray(t_cur_from_prev, float),
-                    ground)
+    return settled(fit, x_cur, np.asarray(block, float), K, np.asarray(t_cur_from_prev, float),
+                   ground)
 
 
 def fit_surfaces(regions: Regions, K: np.ndarray, R_cur_from_prev: np.ndarray,
@@ -213,10 +225,8 @@ def fit_surfaces(regions: Regions, K: np.ndarray, R_cur_from_prev: np.ndarray,
 
 def _errors(regions, theta, centre, K, R_cur_from_prev):
     """Return errors (N, 2) and Jacobian (N, 2, 5), both in standard deviations."""
-    size = regions.size
     x_prev, jacobian = moving_plane.transfer(
-        np.repeat(theta, size, axis=0), regions.rays, np.repeat(centre, size, axis=0), K,
-        R_cur_from_prev)
+        theta[regions.number], regions.rays, centre[regions.number], K, R_cur_from_prev)
     return ((regions.x_prev - x_prev) / regions.sigma[:, None],
             jacobian / regions.sigma[:, None, None])
 
@@ -226,7 +236,7 @@ def _normal_equations(regions, theta, error, jacobian, rows, values):
     squared = np.sum(error**2, axis=1)
     # Geman-McClure: a vector far off counts for nothing, so the mean cannot be dragged. While
     # the start is bad the kernel is as wide as what half of the vectors reach.
-    width = np.repeat(np.maximum(2 * INLIER**2, 4 * regions.rank(squared, 0.5)), regions.size)
+    width = np.maximum(2 * INLIER**2, 4 * regions.rank(squared, 0.5))[regions.number]
     weighted = jacobian / ((1 + squared / width)**2)[:, None, None]
     normal = np.add.reduceat(np.swapaxes(weighted, 1, 2) @ jacobian, regions.first)
     slope = np.add.reduceat(np.sum(weighted * error[:, :, None], axis=1), regions.first)
@@ -252,8 +262,12 @@ def _tilt_prior(ground, centre):
     return rows, np.tile([0.0, -upright * down[2]], (len(centre), 1))
 
 
-def _settled(fit, x_cur, block, K, t_cur_from_prev, ground):
-    """Return the MovingPlane of a fit of one region, or None where too few vectors agree."""
+def settled(fit: Surfaces, x_cur: np.ndarray, block: np.ndarray, K: np.ndarray,
+            t_cur_from_prev: np.ndarray, ground: np.ndarray | None) -> MovingPlane | None:
+    """Return the MovingPlane of a fit of one region, or None where too few vectors agree.
+
+    Arguments as of fit_moving_plane.
+    """
     inlier, theta, centre = fit.inlier, fit.theta[0], fit.centre[0]
     if inlier.sum() < max(MIN_BLOCKS, 0.5 * len(x_cur)) or not np.all(np.isfinite(theta)):
         return None

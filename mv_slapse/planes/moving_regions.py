@@ -8,12 +8,13 @@ last, does not.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from mv_slapse.geometry import epipolar, moving_plane
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice
-from mv_slapse.planes.moving import fit_moving_plane, fit_surfaces, MovingPlane, Regions
+from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
 from mv_slapse.planes.region_scores import outlines, scores
 from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
@@ -69,6 +70,14 @@ class _Field:
     ground: np.ndarray | None
 
 
+class _Fitted(NamedTuple):
+    """Blocks (N,) of all regions, one after the other, and the planes fitted to them."""
+
+    at: np.ndarray
+    regions: Regions
+    fit: Surfaces
+
+
 def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory: Memory,
                        threshold: float) -> tuple[Extraction, Memory]:
     """Add the moving planes of a pair to what was found stationary in it.
@@ -95,14 +104,17 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     came_from = _origin(extraction, memory)
     members = _alike(motion_field)
     before = _majority(members, came_from, len(memory.score))
-    score = _scored(extraction, motion_field, members) + np.where(
+    found = _fitted(extraction, motion_field, members)
+    score = _scored(extraction, motion_field, found) + np.where(
         before >= 0, FADING * np.append(memory.score, 0.0)[before], 0.0)
     ids, next_id = _named(members, score, np.append(memory.id, -1)[before], memory.next_id,
                           threshold)
     grid = lattice.paint(extraction.width, extraction.height, extraction.x_cur,
                          extraction.block, _numbers(members, len(extraction.x_cur)))
-    moving = {int(ids[i]): members[i] for i in np.flatnonzero(ids >= 0)}
-    return (_labelled(extraction, motion_field, moving),
+    moving = sorted(np.flatnonzero(ids >= 0), key=lambda i: -len(members[i]))
+    planes = {int(ids[i]): (members[i], _plane(extraction, motion_field, found, i))
+              for i in moving}
+    return (_labelled(extraction, motion_field, planes),
             Memory(extraction.stamp, grid, score, ids, next_id))
 
 
@@ -174,22 +186,39 @@ def _bridges(motion_field, a, b):
     return motion_field.ground_like & found[0] & found[1]
 
 
-def _scored(extraction, motion_field, members):
-    """Return the score (R,) of each region in this pair; 0 where no plane fits."""
+def _fitted(extraction, motion_field, members):
+    """Return the moving planes of all regions, None where there is no region."""
     if not members:
-        return np.zeros(0)
+        return None
     at = np.concatenate(members)
     first = np.cumsum([0] + [len(member) for member in members[:-1]])
-    K, motion = extraction.K, extraction.motion
-    regions = Regions(to_rays(K, motion_field.x[at]), extraction.x_prev[at].astype(float),
+    regions = Regions(to_rays(extraction.K, motion_field.x[at]),
+                      extraction.x_prev[at].astype(float),
                       np.maximum(extraction.sigma[at], LEAST_SIGMA).astype(float), first)
-    fit = fit_surfaces(regions, K, motion.R_cur_from_prev, motion_field.ground)
-    outline = outlines(motion_field.x[at], motion_field.block[at], first, K, motion_field.ground)
-    fits = np.isfinite(fit.variance)
-    fit = fit._replace(variance=np.where(fits, fit.variance, 1.0))
-    score = scores(fit, outline, K, motion.t_cur_from_prev, motion_field.x,
+    return _Fitted(at, regions, fit_surfaces(
+        regions, extraction.K, extraction.motion.R_cur_from_prev, motion_field.ground))
+
+
+def _scored(extraction, motion_field, found):
+    """Return the score (R,) of each region in this pair; 0 where no plane fits."""
+    if found is None:
+        return np.zeros(0)
+    K, ground = extraction.K, motion_field.ground
+    fits = np.isfinite(found.fit.variance)
+    fit = found.fit._replace(variance=np.where(fits, found.fit.variance, 1.0))
+    outline = outlines(motion_field.x[found.at], motion_field.block[found.at],
+                       found.regions.first, K, ground)
+    score = scores(fit, outline, K, extraction.motion.t_cur_from_prev, motion_field.x,
                    motion_field.ground_like)
     return np.where(fits, score, 0.0)
+
+
+def _plane(extraction, motion_field, found, i) -> MovingPlane | None:
+    """Return the moving plane of region i, its gauge settled."""
+    first = found.regions.first[i]
+    at = found.at[first:first + found.regions.size[i]]
+    return settled(found.fit.only(i, found.regions), motion_field.x[at], motion_field.block[at],
+                   extraction.K, extraction.motion.t_cur_from_prev, motion_field.ground)
 
 
 def _majority(members, came_from, n):
@@ -225,13 +254,13 @@ def _numbers(members, n):
     return numbers
 
 
-def _grown(extraction, motion_field, members, fits):
+def _grown(extraction, motion_field, moving):
     """Add the blocks in and around each moving region that move with its plane, not the ground."""
     free = ~motion_field.ground_like
-    for member in members:
+    for member, _ in moving:
         free[member] = False
     grown = []
-    for member, fit in zip(members, fits, strict=True):
+    for member, fit in moving:
         x = motion_field.x[member]
         low, high = x.min(axis=0) - lattice.MACROBLOCK, x.max(axis=0) + lattice.MACROBLOCK
         near = np.flatnonzero(free & np.all((motion_field.x >= low) & (motion_field.x <= high),
@@ -245,24 +274,13 @@ def _grown(extraction, motion_field, members, fits):
     return grown
 
 
-def _fitted(extraction, motion_field, member) -> MovingPlane | None:
-    """Return the moving plane of a region."""
-    motion = extraction.motion
-    return fit_moving_plane(
-        motion_field.x[member], extraction.x_prev[member],
-        np.maximum(extraction.sigma[member], LEAST_SIGMA), motion_field.block[member],
-        extraction.K, motion.R_cur_from_prev, motion.t_cur_from_prev, motion_field.ground)
-
-
-def _labelled(extraction, motion_field, moving):
-    """Write moving regions {id: member} down, over what their blocks were taken for."""
+def _labelled(extraction, motion_field, planes):
+    """Write moving planes {id: (member, plane)} down, over what their blocks were taken for."""
     label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
-    moving = dict(sorted(moving.items(), key=lambda item: -len(item[1])))
-    fits = {id_: _fitted(extraction, motion_field, member) for id_, member in moving.items()}
-    fits = {id_: fit for id_, fit in fits.items() if fit is not None}
-    grown = _grown(extraction, motion_field, [moving[id_] for id_ in fits], fits.values())
+    planes = {id_: (member, fit) for id_, (member, fit) in planes.items() if fit is not None}
+    grown = _grown(extraction, motion_field, planes.values())
     found = []
-    for (id_, fit), member in zip(fits.items(), grown, strict=True):
+    for (id_, (_, fit)), member in zip(planes.items(), grown, strict=True):
         label[member] = Label.MOVING
         plane_id[member] = id_
         found.append(PlaneObservation(
