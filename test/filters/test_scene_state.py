@@ -227,3 +227,27 @@ def test_a_copied_pose_is_independent(state):
     twin.R[:] = 0
     np.testing.assert_array_equal(state.current.R, before.R)
     np.testing.assert_array_equal(state.current.t, before.t)
+
+
+def test_moving_the_anchor_moves_neither_the_plane_nor_its_uncertainty_in_the_camera(rng, state):
+    def seen(state):
+        by_pose, by_plane = scene_state.plane_in_camera_jacobian(state, 4)
+        J = np.zeros((3, state.size))
+        J[:, state.at('current')], J[:, state.at(4)] = by_pose, by_plane
+        return scene_state.plane_in_camera(state, 4), J @ state.P @ J.T
+
+    plane, covariance = seen(state)
+    anchor = state.planes[4].anchor + rng.normal(0, 0.5, 3)
+    scene_state.move_anchor(state, 4, anchor)
+    np.testing.assert_array_equal(state.planes[4].anchor, anchor)
+    np.testing.assert_allclose(seen(state)[0], plane)
+    np.testing.assert_allclose(seen(state)[1], covariance)
+
+
+def test_a_bend_turns_the_normal_and_leaves_the_depth(state):
+    before = state.error.covariance(4).copy()
+    scene_state.bend(state, 4, 0.01)
+    added = state.error.covariance(4) - before
+    plane = state.planes[4].plane
+    np.testing.assert_allclose(added @ plane, 0, atol=1e-12)
+    assert np.sqrt(np.trace(added) / 2) / np.linalg.norm(plane) == pytest.approx(0.01)
