@@ -14,6 +14,7 @@ GRID = np.stack(np.meshgrid(np.arange(7.5, WIDTH, 16), np.arange(7.5, HEIGHT, 16
 # n / d in the current camera, in baselines: road, left and right facade, end wall.
 CANYON = np.array([[0, -1 / 1.6, 0], [1 / 5.0, 0, 0], [-1 / 6.0, 0, 0], [0, 0, -1 / 30]])
 SKY = -1
+ROOF = 4.0  # what is higher above the camera is sky [baselines]
 # Motions X_cur = R X_prev + t, |t| = 1: where the camera goes, and its turn [rad].
 MOTIONS = {
     'ahead': ((0.0, 0.0, -1.0), (0.002, 0.01, -0.003)),
@@ -75,7 +76,7 @@ def views(R, t, rng=None, sigma=0.0, outliers=0.0, planes=CANYON, x_cur=GRID):
     rho = np.c_[-rays @ planes.T, np.full(len(rays), 1e-12)]
     surface = np.argmax(rho, axis=1)
     rho = rho.max(axis=1)
-    surface[surface == len(planes)] = SKY
+    surface[(surface == len(planes)) | (rays[:, 1] < -ROOF * rho)] = SKY
     X_prev = (rays - np.where(surface < 0, 0, rho)[:, None] * t) @ R
     seen = X_prev[:, 2] > 0.1
     x_true = to_pixels(K, X_prev[seen])

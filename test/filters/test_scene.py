@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import canyon as canyon_views
 from mv_slapse.config import SceneSettings
-from mv_slapse.filters.scene import GROUND_PATIENCE, SceneFilter
+from mv_slapse.filters.scene import _observation, GROUND_PATIENCE, SceneFilter
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
 from mv_slapse.records import Label, MotionStatus, PlaneHandover, ScaleStatus, TrackingStatus
@@ -258,6 +258,28 @@ def test_a_ground_found_later_makes_the_scale_metric():
     wall = next(plane for plane in last.planes if plane.id == WALL)
     assert wall.outline[:, 2].max() < 31
     assert np.linalg.norm(last.t_world_from_cam - canyon.pose(15)[1]) < 0.2
+
+
+def test_the_filter_sees_what_stands_and_what_is_far_and_nothing_else():
+    extraction = Canyon().extraction(3)
+    label = extraction.label.copy()
+    label[::3], label[1::6] = Label.MOVING, Label.UNKNOWN
+    pair, index = _observation(replace(extraction, label=label), [WALL])
+    used = label >= 0
+    used[::3] = False
+    np.testing.assert_array_equal(pair.x_prev, extraction.x_prev[used])
+    np.testing.assert_array_equal(index == 0, extraction.plane_id[used] == WALL)
+    assert np.any(label[used] == Label.INFINITY)
+
+
+def test_a_road_that_may_slope_is_less_sure_of_its_normal():
+    spread = []
+    for slope in (0.0, 0.05):
+        canyon, filter_ = Canyon(), SceneFilter(replace(METRIC, ground_slope=slope))
+        driven(canyon, 10, filter_=filter_)
+        ground = filter_.step(canyon.blank(11))[0].planes[GROUND]
+        spread.append(np.trace(ground.covariance[:3, :3]))
+    assert spread[1] - spread[0] > 0.05**2 * 0.8  # over 0.8 m
 
 
 def test_the_same_extractions_give_the_same_bits():

@@ -77,10 +77,13 @@ def test_points_behind_the_previous_camera_do_not_count():
     n = len(x)
     before = scale.depth_map(160, 80, x, np.full(n, 0.5), np.full(n, 0.01),
                              np.ones(n, bool))
-    rays = np.c_[np.zeros((n, 2)), np.ones(n)]
-    ratio = scale.baseline_ratio(before, x, rays, np.full(n, 0.5), np.full(n, 0.01),
-                                 np.ones(n, bool), R, t)
+    rays, usable = np.c_[np.zeros((n, 2)), np.ones(n)], np.ones(n, bool)
+    behind, far = np.full(n, 0.5), np.full(n, 1 / 12)  # 2 - 10 < 0, and 12 - 10 = 2 as before
+    ratio = scale.baseline_ratio(before, x, rays, behind, np.full(n, 0.01), usable, R, t)
     assert ratio == scale.BaselineRatio()
+    mixed = np.where(np.arange(n) % 2, behind, far)
+    ratio = scale.baseline_ratio(before, x, rays, mixed, np.full(n, 1e-4), usable, R, t)
+    assert ratio.log == pytest.approx(0, abs=1e-3)
 
 
 def test_errors_of_the_depths_do_not_make_the_scale_drift():
