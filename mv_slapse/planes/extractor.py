@@ -119,13 +119,19 @@ class PlaneExtractor:
             plane_id=np.full(n, -1, np.int32))
 
     def _standing(self, blank: Extraction) -> Extraction:
-        """Label a key frame pair of a camera that stands still."""
+        """Label a key frame pair of a camera that stands still: what moves then moves itself.
+
+        Without a baseline there is no unit of length: moving planes have a prior's.
+        """
         still = np.linalg.norm(blank.x_cur - blank.x_prev, axis=1) < 0.5
         label = np.where(still, Label.STATIONARY, Label.UNKNOWN).astype(np.int8)
-        covariance = np.diag([1e-8] * 3 + [0.0] * 3)
+        motion = CameraMotion(MotionStatus.STANDSTILL,
+                              covariance=np.diag([1e-8] * 3 + [0.0] * 3))
         self._memory = replace(self._memory, stamp=blank.stamp)
-        return replace(blank, label=label,
-                       motion=CameraMotion(MotionStatus.STANDSTILL, covariance=covariance))
+        shown, self._movers = moving_regions.with_moving_planes(
+            replace(blank, label=label, motion=motion), None, self._movers,
+            self._settings.moving_score, self._memory.ground.mount.normal)
+        return shown
 
     def _motion(self, pair: two_view.Pair) -> MotionFit:
         """Estimate the motion from the best of prediction and five points, [MVO] 4.1."""
@@ -171,7 +177,7 @@ class PlaneExtractor:
         shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
                         sigma=pair.sigma.astype(np.float32))
         shown, self._movers = moving_regions.with_moving_planes(
-            shown, floor, self._movers, self._settings.moving_score)
+            shown, floor, self._movers, self._settings.moving_score, prior.normal)
         still = shown.label != Label.MOVING
         planes = [replace(plane, member=plane.member & still) for plane in found.planes]
         return replace(found, planes=planes, moving=shown)

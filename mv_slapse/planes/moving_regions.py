@@ -7,7 +7,7 @@ along the vectors, so that a slow mover becomes one in time and a wrong vector, 
 last, does not.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from mv_slapse.geometry import epipolar, moving_plane
@@ -28,29 +28,29 @@ ALIKE = (1.0, 0.12)  # px, share of the longer one: by how much neighbours' vect
 LEAST = 4  # blocks, and as many macroblocks less a half
 LEAST_SIGMA = 0.25  # px, of a vector on a small surface, whatever the pair's calibration says
 ON_GROUND = 0.2  # share of the ground's inverse depth within which a block is ground
-FADING = 0.7  # of the score from pair to pair
+FAR = 1.5  # px of parallax, less is far off,
+RESTING = 0.75  # px, or rests where the camera stands
+FADING = 0.8  # of the score from pair to pair
+SCALE, ZERO = 100, 10_000  # of scores in a grid of integers
 
 
 @dataclass(frozen=True)
 class Memory:
-    """Regions of the previous key frame.
+    """What the previous key frame showed, cell by cell.
 
     Attributes
     ----------
     stamp : int or None
-    grid : array or None
-        Number of the region that holds each cell, -1 for none.
-    score : (R,) float64
-        Of each region.
-    id : (R,) int
-        Of each region, -1 where it is not called moving.
+    score : array or None
+        Accumulated score of each cell, SCALE for 1 and ZERO for 0; -1: no block was there.
+    id : array or None
+        Moving region that held each cell, -1 for none.
     next_id : int
     """
 
     stamp: int | None = None
-    grid: np.ndarray | None = None
-    score: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    id: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    score: np.ndarray | None = None
+    id: np.ndarray | None = None
     next_id: int = FIRST_ID
 
 
@@ -68,6 +68,7 @@ class _Field:
     far: np.ndarray
     plane_id: np.ndarray
     ground: np.ndarray | None
+    level: np.ndarray | None
 
 
 class _Fitted(NamedTuple):
@@ -79,7 +80,8 @@ class _Fitted(NamedTuple):
 
 
 def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory: Memory,
-                       threshold: float) -> tuple[Extraction, Memory]:
+                       threshold: float, level: np.ndarray | None = None
+                       ) -> tuple[Extraction, Memory]:
     """Add the moving planes of a pair to what was found stationary in it.
 
     Parameters
@@ -92,6 +94,8 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
         What the last call returned.
     threshold : float
         Score from which on a region is called moving; chi-square beyond its mean.
+    level : (3,) array, optional
+        Up in camera k, where the ground is not known.
 
     Returns
     -------
@@ -100,25 +104,28 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     memory : Memory
         For the next pair.
     """
-    motion_field = _motion_field(extraction, ground)
-    came_from = _origin(extraction, memory)
+    motion_field = _motion_field(extraction, ground, level if ground is None else ground)
     members = _alike(motion_field)
-    before = _majority(members, came_from, len(memory.score))
     found = _fitted(extraction, motion_field, members)
-    score = _scored(extraction, motion_field, found) + np.where(
-        before >= 0, FADING * np.append(memory.score, 0.0)[before], 0.0)
-    ids, next_id = _named(members, score, np.append(memory.id, -1)[before], memory.next_id,
-                          threshold)
-    grid = lattice.paint(extraction.width, extraction.height, extraction.x_cur,
-                         extraction.block, _numbers(members, len(extraction.x_cur)))
+    score, before = _inherited(extraction, memory)
+    total = _scored(extraction, motion_field, found) + FADING * _mean(members, score)
+    ids, next_id = _named(members, total, _majority(members, before), memory.next_id, threshold)
+    # What is in no region this time is not forgotten at once.
+    score, before = FADING * np.nan_to_num(score) * ~motion_field.ground_like, np.full(
+        len(before), -1)
+    for member, total_, id_ in zip(members, total, ids, strict=True):
+        score[member], before[member] = total_, id_
+    grids = [lattice.paint(extraction.width, extraction.height, extraction.x_cur,
+                           extraction.block, values)
+             for values in (np.round(SCALE * np.clip(score, -99, 999)) + ZERO, before)]
     moving = sorted(np.flatnonzero(ids >= 0), key=lambda i: -len(members[i]))
     planes = {int(ids[i]): (members[i], _plane(extraction, motion_field, found, i))
               for i in moving}
     return (_labelled(extraction, motion_field, planes),
-            Memory(extraction.stamp, grid, score, ids, next_id))
+            Memory(extraction.stamp, *grids, next_id))
 
 
-def _motion_field(extraction, ground):
+def _motion_field(extraction, ground, level):
     """Judge the blocks singly: those on the ground and those without parallax are left out."""
     K, motion = extraction.K, extraction.motion
     R, t = motion.R_cur_from_prev, motion.t_cur_from_prev
@@ -131,16 +138,19 @@ def _motion_field(extraction, ground):
     error = np.abs(epipolar.epipolar_error(rays, before, focal, R, t)) / extraction.sigma
     slack = 3 * per_pixel * extraction.sigma + ON_GROUND * under
     ground_like = (under > 0) & (error < 4) & (np.abs(rho - under) < slack)
-    far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < 1.5)
+    least = FAR if np.any(t) else RESTING
+    far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < least)
     return _Field(x, extraction.block.astype(float), parallax, ground_like, far,
-                  extraction.plane_id, ground)
+                  extraction.plane_id, ground, level)
 
 
-def _origin(extraction, memory):
-    """Return the number of the previous region that each block comes from, -1 for none."""
-    if memory.grid is None or memory.stamp != extraction.previous_stamp:
-        return np.full(len(extraction.x_cur), -1)
-    return lattice.lookup(memory.grid, extraction.x_prev.astype(float))
+def _inherited(extraction, memory):
+    """Return score (nan: unknown) and id (-1: none) of the place that each block comes from."""
+    if memory.score is None or memory.stamp != extraction.previous_stamp:
+        return np.full(len(extraction.x_cur), np.nan), np.full(len(extraction.x_cur), -1)
+    x = extraction.x_prev.astype(float)
+    score = lattice.lookup(memory.score, x)
+    return np.where(score < 0, np.nan, (score - ZERO) / SCALE), lattice.lookup(memory.id, x)
 
 
 def _alike(motion_field):
@@ -207,7 +217,7 @@ def _scored(extraction, motion_field, found):
     fits = np.isfinite(found.fit.variance)
     fit = found.fit._replace(variance=np.where(fits, found.fit.variance, 1.0))
     outline = outlines(motion_field.x[found.at], motion_field.block[found.at],
-                       found.regions.first, K, ground)
+                       found.regions.first, K, ground, motion_field.level)
     score = scores(fit, outline, K, extraction.motion.t_cur_from_prev, motion_field.x,
                    motion_field.ground_like)
     return np.where(fits, score, 0.0)
@@ -221,17 +231,22 @@ def _plane(extraction, motion_field, found, i) -> MovingPlane | None:
                    extraction.K, extraction.motion.t_cur_from_prev, motion_field.ground)
 
 
-def _majority(members, came_from, n):
-    """Return the previous region (R,) that at least half of the blocks of each come from, or -1.
+def _mean(members, score):
+    """Return the mean (R,) of the known scores of each region's blocks, 0 where few are known."""
+    known = [score[member][np.isfinite(score[member])] for member in members]
+    return np.array([values.mean() if 3 * len(values) >= len(member) else 0.0
+                     for values, member in zip(known, members, strict=True)])
 
-    ``n`` is the number of previous regions.
-    """
-    if not members or not n:
-        return np.full(len(members), -1)
-    size = np.array([len(member) for member in members])
-    at, number = came_from[np.concatenate(members)], np.repeat(np.arange(len(members)), size)
-    table = np.bincount((number * n + at)[at >= 0], minlength=len(members) * n).reshape(-1, n)
-    return np.where(2 * table.sum(axis=1) >= size, table.argmax(axis=1), -1)
+
+def _majority(members, ids):
+    """Return the id (R,) that most of each region's blocks come from, -1: less than a third."""
+    result = np.full(len(members), -1)
+    for i, member in enumerate(members):
+        known = ids[member][ids[member] >= 0]
+        if 3 * len(known) >= len(member):
+            values, count = np.unique(known, return_counts=True)
+            result[i] = values[count.argmax()]
+    return result
 
 
 def _named(members, score, before, next_id, threshold):
@@ -244,14 +259,6 @@ def _named(members, score, before, next_id, threshold):
         next_id += int(ids[i] == next_id)
         taken.add(ids[i])
     return ids, next_id
-
-
-def _numbers(members, n):
-    """Return the number of the region that each of n blocks belongs to, -1 for none."""
-    numbers = np.full(n, -1, np.int32)
-    for i, member in enumerate(members):
-        numbers[member] = i
-    return numbers
 
 
 def _grown(extraction, motion_field, moving):

@@ -13,20 +13,23 @@ The answers are squared distances less what noise gives.
 from typing import NamedTuple
 
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.geometry.moving_plane import RATE
+from mv_slapse.geometry.moving_plane import RATE, SLOPE
 from mv_slapse.planes import lattice
 from mv_slapse.planes.moving import Surfaces
 import numpy as np
 
 BIAS = 0.35  # px that a region's vectors have in common
-BELOW_GROUND = 0.75  # share of the ground's inverse depth below which nothing still can be
-LEAST_DROP = 12.0  # px below the horizon from which on a lower edge tells something
-LOWEST, TALLEST = 0.35, 2.0  # heights of a camera, of what may be a vehicle or a person
+LEAST_DROP = 8.0  # px below the horizon from which on a lower edge tells something
+FOOT_SIGMA = 8.0  # px of the lower edge, seen to a block, and of the horizon
+GROUND_SIGMA = 0.07  # share of the ground's inverse depth: slope, kerbs
+LOWEST, TALLEST = 0.5, 2.0  # heights of a camera, of what may be a vehicle or a person
+LOWEST_PART = 0.3  # the same of a part that comes towards the camera
+LEAST_FILLED = 0.4  # share of its box that a vehicle's blocks cover
 RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane,
 WIDE = 250.0  # px, if it is as wide as this
 LEAST_RATIO = 1.2  # of apparent over ground's inverse depth at which something may hover
-HOVER_SIGMA = 0.15  # of the log of that ratio: the edge's block
-STEP = 60.0  # largest part of the score of one pair
+BLANK_ROAD = 0.5  # how surely a place below a region without any vector is ground
+STEP = 20.0  # largest part of the score of one pair
 
 
 class Outlines(NamedTuple):
@@ -39,9 +42,11 @@ class Outlines(NamedTuple):
     foot : (R, 2) float64
         Middle of the lowest row's lower edge [px].
     drop : (R,) float64
-        Rows of the foot below the horizon [px]; not positive: above it, or no ground is known.
+        Rows of the foot below the horizon [px]; infinite where that is unknown.
     under : (R,) float64
-        Inverse depth of the ground there [1/baseline].
+        Inverse depth of the ground there [1/baseline]; 0 where that is unknown.
+    filled : (R,) float64
+        Share of the box that blocks cover.
     """
 
     low: np.ndarray
@@ -49,6 +54,7 @@ class Outlines(NamedTuple):
     foot: np.ndarray
     drop: np.ndarray
     under: np.ndarray
+    filled: np.ndarray
 
     @property
     def size(self) -> np.ndarray:
@@ -57,7 +63,7 @@ class Outlines(NamedTuple):
 
 
 def outlines(x: np.ndarray, block: np.ndarray, first: np.ndarray, K: np.ndarray,
-             ground: np.ndarray | None) -> Outlines:
+             ground: np.ndarray | None, level: np.ndarray | None) -> Outlines:
     """Return the Outlines of regions.
 
     Parameters
@@ -69,6 +75,8 @@ def outlines(x: np.ndarray, block: np.ndarray, first: np.ndarray, K: np.ndarray,
     K : (3, 3) array
     ground : (3,) array or None
         Ground plane n / d in camera k [1/baseline].
+    level : (3,) array or None
+        The same at any length, where only the horizon is known.
     """
     size = np.diff(first, append=len(x))
     bottom = x[:, 1] + 0.5 * block[:, 1]
@@ -78,13 +86,14 @@ def outlines(x: np.ndarray, block: np.ndarray, first: np.ndarray, K: np.ndarray,
     lowest = (bottom >= np.repeat(edge, size) - 0.5).astype(float)
     across = np.add.reduceat(x[:, 0] * lowest, first) / np.add.reduceat(lowest, first)
     foot = np.stack([across, edge], axis=1)
-    under = np.zeros(len(first))
-    drop = np.zeros(len(first))
-    if ground is not None and ground[1] < 0:
-        under = -to_rays(K, foot) @ ground
-        drop = under / (-ground[1] / K[1, 1])
-    return Outlines(np.minimum.reduceat(x, first), np.maximum.reduceat(x, first), foot, drop,
-                    under)
+    rays, area = to_rays(K, foot), np.add.reduceat(block.prod(axis=1), first)
+    under = np.zeros(len(first)) if ground is None else -rays @ ground
+    drop = np.full(len(first), np.inf)
+    if level is not None and level[1] < 0:
+        drop = rays @ level / (level[1] / K[1, 1])
+    low, high = np.minimum.reduceat(x, first), np.maximum.reduceat(x, first)
+    filled = area / np.prod(high - low + lattice.MACROBLOCK, axis=1)
+    return Outlines(low, high, foot, drop, under, filled)
 
 
 def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, x: np.ndarray,
@@ -104,22 +113,46 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, x: np
     W = np.linalg.inv(_covariance(fit, rate, size, K))
     Wt = W @ t
     information = np.maximum(Wt @ t, 1e-12)
-    apparent, sigma = np.sum(rate * Wt, axis=1) / information, 1 / np.sqrt(information)
-    # The lower edge may lie a block higher than it seems, where the ground is farther.
-    sure = np.maximum(drop - lattice.MACROBLOCK, 0) / np.maximum(drop, 1.0)
-    error = rate - np.maximum(apparent, BELOW_GROUND * outline.under * sure)[:, None] * t
+    apparent = np.sum(rate * Wt, axis=1) / information
+    error = rate - np.maximum(apparent, 0.0)[:, None] * t
     distance = np.sum((W @ error[:, :, None])[:, :, 0] * error, axis=1) - 3
-    near = drop > LEAST_DROP
-    # Flat on the road: wrong vectors of the road, as no vehicle is that low.
-    flat = near & (size[:, 1] < LOWEST * drop)
-    distance[flat] = np.minimum(distance[flat], 0.0)
-    stands = near & ~flat & (size[:, 1] <= TALLEST * drop)
-    for i in np.flatnonzero(stands & (apparent >= LEAST_RATIO * outline.under)):
-        ratio = apparent[i] / outline.under[i]
-        if _ground_below(outline, i, x, ground_like):
-            spread = np.hypot(HOVER_SIGMA, sigma[i] / apparent[i])
-            distance[i] += (np.log(ratio) / spread)**2 - 1
+    at_foot, sigma = _at_foot(fit, outline, K, apparent, 1 / np.sqrt(information))
+    share = np.hypot(FOOT_SIGMA / np.maximum(drop, 1.0), GROUND_SIGMA)
+    stands = (outline.under > 0) & np.any(t != 0)
+    distance += stands * _below_ground(at_foot, sigma, outline.under, share)
+    # The road's own wrong vectors are short: low or scattered, they are no vehicle.
+    road = (size[:, 1] < LOWEST * drop) | (outline.filled < LEAST_FILLED)
+    distance[np.isfinite(drop) & road] = np.minimum(distance[np.isfinite(drop) & road], 0.0)
+    for i in np.flatnonzero(stands & _may_hover(outline)
+                            & (at_foot >= LEAST_RATIO * outline.under)):
+        spread = np.hypot(share[i], sigma[i] / at_foot[i])
+        distance[i] += _ground_below(outline, i, x, ground_like) * (
+            (np.log(at_foot[i] / outline.under[i]) / spread)**2 - 1)
+    # Nothing that a robot could meet ends above the horizon, higher than its camera.
+    distance[drop < LEAST_DROP] = np.minimum(distance[drop < LEAST_DROP], 0.0)
     return np.clip(distance, -5, STEP)
+
+
+def _may_hover(outline):
+    """Return which regions (R,) are as high as a vehicle's part or a person may be."""
+    height = outline.size[:, 1] / np.maximum(outline.drop, 1.0)
+    return (height >= LOWEST_PART) & (height <= TALLEST)
+
+
+def _at_foot(fit, outline, K, apparent, sigma):
+    """Return the apparent inverse depth (R,) at the regions' feet and its standard deviation."""
+    offset = to_rays(K, outline.foot)[:, :2] - fit.centre
+    relative = 1 + np.sum(offset * fit.theta[:, SLOPE], axis=1)
+    tilt = fit.covariance[:, SLOPE, SLOPE]
+    variance = np.sum((tilt @ offset[:, :, None])[:, :, 0] * offset, axis=1)
+    return (apparent * np.clip(relative, 0.5, 2.0),
+            np.hypot(sigma, np.abs(apparent) * np.sqrt(np.maximum(variance, 0))))
+
+
+def _below_ground(at_foot, sigma, under, share):
+    """Return the squared distance (R,) of regions from all places at or above the ground."""
+    lacking = np.maximum(under - at_foot, 0.0) / np.hypot(sigma, share * under + 1e-12)
+    return np.maximum(lacking**2 - 1, 0.0)
 
 
 def _covariance(fit, rate, size, K):
@@ -136,8 +169,10 @@ def _covariance(fit, rate, size, K):
 
 
 def _ground_below(outline, i, x, ground_like):
-    """Return whether the ground is seen right below a region."""
+    """Return how surely the ground is seen right below a region, 0 to 1."""
     across = np.abs(x[:, 0] - outline.foot[i, 0]) < 0.5 * outline.size[i, 0]
     below = x[:, 1] - outline.foot[i, 1]
     seen = across & (below > 0) & (below < 1.75 * lattice.MACROBLOCK)
-    return bool(seen.any()) and ground_like[seen].mean() > 0.5
+    if not seen.any():
+        return BLANK_ROAD
+    return float(ground_like[seen].mean() > 0.5)
