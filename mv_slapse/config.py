@@ -148,8 +148,8 @@ class SceneSettings(Checked):
     relief: float = setting(
         0.03, '-', 'depth of a surface about its plane, as a share of depth', 0.0, 1.0)
     depth_bias: float = setting(
-        0.04, '-', 'error of the depth of a whole surface in one pair, as a share of it: encoders '
-        'pull its vectors the same way; 3 to 6 % was measured', 0.0, 1.0)
+        0.02, '-', 'error of the depth of a whole surface in one pair, as a share of it: encoders '
+        'pull its vectors the same way; 1 to 2.4 % was measured on road', 0.0, 1.0)
     dependence: float = setting(
         6.0, '-', 'neighbouring motion vectors err together: so many tell as much as one '
         'independent one', 1.0)

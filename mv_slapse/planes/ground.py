@@ -18,6 +18,7 @@ HEIGHT_WOBBLE = 0.02  # change of log(height) between key frames: suspension and
 FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for afresh
 DEPENDENCE = 10.0  # blocks of road that tell as much as one: what stands on it errs one way
 MAX_BLUR = 0.07  # standard deviation of a block's depth, as a share of it
+CORRIDOR = 2.5  # camera heights to either side: beyond, kerbs, lawns and drives lie higher
 MIN_DROP = 0.03  # rad below the horizon: nearer to it a block tells nothing of the height
 LEARNING = 0.1  # share that one key frame has in the learned mounting
 
@@ -144,7 +145,8 @@ def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rul
         None where too few blocks agree, or too many lie below.
     """
     drop = -depths.rays @ prior.normal
-    below_horizon = free & (drop > MIN_DROP) & (depths.rho > 0)
+    aside = np.abs(depths.rays @ _across(prior.normal))
+    below_horizon = free & (drop > MIN_DROP) & (depths.rho > 0) & (aside < CORRIDOR * drop)
     sample = depths[below_horizon]
     if lattice.count_macroblocks(sample.x) < rules.min_macroblocks:
         return None
@@ -178,3 +180,9 @@ def _sharp(depths: Depths, plane: np.ndarray) -> np.ndarray:
     in the height for 2 degrees, as measured).
     """
     return depths.sigma < MAX_BLUR * np.maximum(-depths.rays @ plane, 1e-9)
+
+
+def _across(normal: np.ndarray) -> np.ndarray:
+    """Return the unit vector (3,) along the ground and across the optical axis."""
+    across = np.cross(normal, (0.0, 0.0, 1.0))
+    return across / np.linalg.norm(across)

@@ -177,3 +177,19 @@ def test_a_road_far_from_where_it_was_is_not_believed(rng):
     elsewhere = GroundPrior(UP, 0.02, 2 / 1.6, 0.05)
     free = np.ones(len(depths), bool)
     assert ground.find_ground(depths, free, elsewhere, RULES, rng) is None
+
+
+def test_blocks_far_to_the_side_do_not_tilt_the_ground(rng):
+    """A lawn beside the road, a hand higher, is outside the corridor."""
+    up = np.array([0.0, -1.0, 0.0])
+    x = np.stack(np.meshgrid(np.arange(-0.9, 0.9, 0.03), np.arange(0.1, 0.4, 0.03)), -1)
+    rays = np.c_[x.reshape(-1, 2), np.ones(x.size // 2)]
+    aside = np.abs(rays[:, 0]) > 2.6 * rays[:, 1]
+    height = np.where(aside, 1.4, 1.65)
+    rho = rays[:, 1] / height
+    depths = Depths(rays, rho, 0.03 * rho, 500 * rays[:, :2] + 500)
+    rules = Rules(3.0, 20, 256, 96.0, 8, 0.2)
+    fit = ground.find_ground(depths, np.ones(len(rho), bool), GroundPrior(up, 0.07), rules,
+                             rng)
+    np.testing.assert_allclose(fit.plane, up / 1.65, atol=1e-3)
+    assert not (fit.member & aside).any()
