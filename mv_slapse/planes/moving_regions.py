@@ -108,7 +108,8 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     members = _alike(motion_field)
     found = _fitted(extraction, motion_field, members)
     score, before = _inherited(extraction, memory)
-    total = _scored(extraction, motion_field, found) + FADING * _mean(members, score)
+    total = _scored(extraction, motion_field, found) + FADING * _better_half(
+        members, score)
     ids, next_id = _named(members, total, _majority(members, before), memory.next_id, threshold)
     # What is in no region this time is not forgotten at once.
     score, before = FADING * np.nan_to_num(score) * ~motion_field.ground_like, np.full(
@@ -231,11 +232,17 @@ def _plane(extraction, motion_field, found, i) -> MovingPlane | None:
                    extraction.K, extraction.motion.t_cur_from_prev, motion_field.ground)
 
 
-def _mean(members, score):
-    """Return the mean (R,) of the known scores of each region's blocks, 0 where few are known."""
-    known = [score[member][np.isfinite(score[member])] for member in members]
-    return np.array([values.mean() if 3 * len(values) >= len(member) else 0.0
-                     for values, member in zip(known, members, strict=True)])
+def _better_half(members, score):
+    """Return the mean (R,) of the upper half of each region's known scores, 0: few are known.
+
+    Half, since a region of a few blocks came from cells that it held in part.
+    """
+    result = np.zeros(len(members))
+    for i, member in enumerate(members):
+        known = np.sort(score[member][np.isfinite(score[member])])
+        if 3 * len(known) >= len(member):
+            result[i] = known[len(known) // 2:].mean()
+    return result
 
 
 def _majority(members, ids):

@@ -125,9 +125,10 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, x: np
     distance[np.isfinite(drop) & road] = np.minimum(distance[np.isfinite(drop) & road], 0.0)
     for i in np.flatnonzero(stands & _may_hover(outline)
                             & (at_foot >= LEAST_RATIO * outline.under)):
+        ratio = at_foot[i] / outline.under[i]
         spread = np.hypot(share[i], sigma[i] / at_foot[i])
-        distance[i] += _ground_below(outline, i, x, ground_like) * (
-            (np.log(at_foot[i] / outline.under[i]) / spread)**2 - 1)
+        distance[i] += _ground_below(outline, i, ratio, x, ground_like) * (
+            (np.log(ratio) / spread)**2 - 1)
     # Nothing that a robot could meet ends above the horizon, higher than its camera.
     distance[drop < LEAST_DROP] = np.minimum(distance[drop < LEAST_DROP], 0.0)
     return np.clip(distance, -5, STEP)
@@ -168,11 +169,16 @@ def _covariance(fit, rate, size, K):
     return covariance
 
 
-def _ground_below(outline, i, x, ground_like):
-    """Return how surely the ground is seen right below a region, 0 to 1."""
+def _ground_below(outline, i, ratio, x, ground_like):
+    """Return how surely the ground is seen where a region would hide it, 0 to 1.
+
+    A still thing that looks ``ratio`` times nearer than the ground at its foot reaches down to
+    where the ground is as near.
+    """
     across = np.abs(x[:, 0] - outline.foot[i, 0]) < 0.5 * outline.size[i, 0]
     below = x[:, 1] - outline.foot[i, 1]
-    seen = across & (below > 0) & (below < 1.75 * lattice.MACROBLOCK)
+    reach = max((ratio - 1) * outline.drop[i], 1.75 * lattice.MACROBLOCK)
+    seen = across & (below > 0) & (below < reach)
     if not seen.any():
         return BLANK_ROAD
-    return float(ground_like[seen].mean() > 0.5)
+    return float(np.clip((ground_like[seen].mean() - 0.3) / 0.3, 0, 1))
