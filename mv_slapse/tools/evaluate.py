@@ -1,0 +1,146 @@
+"""``make evaluate``: every sequence in every encoding and rendered streets, in one table.
+
+Sequences are read where they lie, ``../shared/data`` beside the checkout; rendered streets need
+nothing. The table names the commit and the commands, so that anybody can repeat a row.
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+import subprocess
+import sys
+import tempfile
+from typing import Any
+
+from mv_slapse.codec.encoder import Encoding, LOW_LATENCY, write_video
+from mv_slapse.config import SceneSettings, Settings
+from mv_slapse.errors import MvSlapseError
+from mv_slapse.geometry.camera import Camera
+from mv_slapse.simulation.street import Street, StreetSettings
+from mv_slapse.simulation.truth import film
+from mv_slapse.storage.camera_info import read_camera
+from mv_slapse.tools.eval import evaluate
+from mv_slapse.tools.run import run
+
+DATA = Path('../shared/data')
+HEIGHTS = {'kitti00': 1.65, 'tusimple': 1.8}  # m, camera above the road, from the data sets
+STREETS = 5
+STREET_FRAMES = 150
+ENCODINGS = {'mpeg2': Encoding('mpeg2video', b_frames=3, gop=12), 'h264_lowlatency': LOW_LATENCY,
+             'h264_bframes': Encoding('h264', b_frames=3, gop=30)}
+COLUMNS = {
+    'poses': ('n_poses', '{:d}'), 'ATE [%]': ('ate_mean_percent', '{:.3f}'),
+    'rigid [%]': ('ate_rigid_mean_percent', '{:.3f}'),
+    'planes': ('n_planes', '{:d}'), 'depth [m]': ('plane_depth_error_m', '{:.2f}'),
+    'normal [deg]': ('plane_normal_error_deg', '{:.1f}'),
+    'movers': ('movers_found', '{:d}'), 'of': ('movers_total', '{:d}'),
+    'false / frame': ('false_obstacles_per_frame', '{:.3f}'), 'CPU [ms]': ('cpu_ms', '{:.1f}')}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row: a video, its camera, and the truth there is."""
+
+    name: str
+    video: Path
+    camera: Camera
+    height: float = 0.0
+    ground_truth: Path | None = None
+    labels: Path | None = None
+    boxes: Path | None = None
+
+
+def sequences(data: Path) -> Iterator[Case]:
+    """Yield every video below a folder that has a camera beside it."""
+    for folder in sorted({path.parent for path in data.rglob('camera.yaml')}):
+        camera = read_camera(folder / 'camera.yaml')
+        truth, labels, boxes = (folder / name if (folder / name).exists() else None for name in
+                                ('ground_truth.tum', 'motion_labels.npz', 'boxes.csv'))
+        for video in sorted([*folder.glob('*.mp4'), *folder.glob('*.mpg')]):
+            yield Case(f'{folder.relative_to(data)}/{video.name}', video, camera,
+                       HEIGHTS.get(folder.name, 0.0), truth, labels, boxes)
+
+
+def streets(folder: Path, count: int, n_frames: int) -> Iterator[Case]:
+    """Render streets of different seeds into a folder and yield them in every encoding."""
+    for seed in range(count):
+        street = Street(replace(StreetSettings(), seed=seed, n_frames=n_frames))
+        place = folder / f'street{seed}'
+        images = list(film(street, place / 'truth'))
+        for name, encoding in ENCODINGS.items():
+            video = place / f'{name}.{"mpg" if encoding.codec == "mpeg2video" else "mp4"}'
+            write_video(video, images, street.settings.fps, encoding)
+            yield Case(f'street {seed}/{video.name}', video, street.camera,
+                       street.settings.camera_height, place / 'truth')
+
+
+def measure(case: Case, output: Path) -> dict[str, Any]:
+    """Run one case and return its figures; with the message as ``error`` where it refuses."""
+    settings = Settings(scene=SceneSettings(camera_height=case.height))
+    try:
+        summary = run(case.video, case.camera, settings, output)
+        figures: dict[str, Any] = {'n_poses': summary.poses}
+        if case.ground_truth or case.labels or case.boxes:
+            figures |= evaluate(output, case.ground_truth, case.labels, case.boxes)
+    except MvSlapseError as error:
+        return {'error': str(error)}
+    if summary.scale_status != 'metric':
+        figures.pop('ate_rigid_mean_percent', None)
+    return figures | {'cpu_ms': 1e3 * summary.cpu_seconds['total'] / max(summary.frames, 1)}
+
+
+def row(name: str, figures: dict[str, Any]) -> str:
+    """Return one row of the table."""
+    if 'error' in figures:
+        return f'| {name} | {figures["error"]} |' + ' |' * (len(COLUMNS) - 1)
+    cells = [pattern.format(figures[key]) if figures.get(key) is not None else ''
+             for key, pattern in COLUMNS.values()]
+    return f'| {name} | ' + ' | '.join(cells) + ' |'
+
+
+def page(rows: list[str], commit: str) -> str:
+    """Return the whole page."""
+    head = f'| sequence | {" | ".join(COLUMNS)} |\n|' + ' --- |' * (len(COLUMNS) + 1)
+    return (
+        '# Results\n\n'
+        f'Made by `make evaluate` at commit {commit}, default settings, '
+        '`--camera-height` where the data set tells it.\n'
+        'A row is `mv_slapse run VIDEO --camera camera.yaml [--camera-height H] -o OUT`, then '
+        '`mv_slapse eval OUT --ground-truth …`.\n'
+        'ATE: mean position error after similarity alignment, rigid: after rigid alignment, in '
+        'per cent of the way; CPU: of all stages, for each frame of the video.\n\n'
+        f'{head}\n' + '\n'.join(rows) + '\n')
+
+
+def commit_of(folder: Path) -> str:
+    """Return the commit that is checked out, with a + where files differ from it."""
+    answer = subprocess.run(['git', 'describe', '--always', '--dirty=+'], cwd=folder, check=False,
+                            capture_output=True, text=True)
+    return answer.stdout.strip() or 'unknown'
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure everything and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--data', type=Path, default=DATA, help='folder of the sequences')
+    parser.add_argument('--only', default='', help='only rows whose name holds this text')
+    parser.add_argument('--streets', type=int, default=STREETS, help='rendered streets')
+    parser.add_argument('--frames', type=int, default=STREET_FRAMES, help='pictures of a street')
+    parser.add_argument('-o', '--output', type=Path, default=Path('docs/results.md'))
+    options = parser.parse_args(arguments)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        found = sequences(options.data) if options.data.is_dir() else iter(())
+        rendered = streets(Path(folder), options.streets, options.frames)
+        for case in (*found, *rendered):
+            if options.only in case.name:
+                rows.append(row(case.name, measure(case, Path(folder) / 'out')))
+                print(rows[-1], file=sys.stderr, flush=True)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(page(rows, commit_of(Path.cwd())))
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
