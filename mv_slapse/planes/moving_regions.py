@@ -27,7 +27,9 @@ REACH = 24.0  # px between centres of neighbours
 ALIKE = (1.0, 0.12)  # px, share of the longer one: by how much neighbours' vectors may differ
 LEAST = 4  # blocks, and as many macroblocks less a half
 LEAST_SIGMA = 0.25  # px, of a vector on a small surface, whatever the pair's calibration says
+SHAPE = 0.04  # share of a vector by which it errs as vehicles and people are no planes
 ON_GROUND = 0.2  # share of the ground's inverse depth within which a block is ground
+LEAST_GROUND = 20  # blocks that show the ground to be where it is expected
 FAR = 1.5  # px of parallax, less is far off,
 RESTING = 0.75  # px, or rests where the camera stands
 FADING = 0.8  # of the score from pair to pair
@@ -203,9 +205,10 @@ def _fitted(extraction, motion_field, members):
         return None
     at = np.concatenate(members)
     first = np.cumsum([0] + [len(member) for member in members[:-1]])
+    shape = SHAPE * np.linalg.norm(motion_field.parallax[at], axis=1)
     regions = Regions(to_rays(extraction.K, motion_field.x[at]),
                       extraction.x_prev[at].astype(float),
-                      np.maximum(extraction.sigma[at], LEAST_SIGMA).astype(float), first)
+                      np.hypot(np.maximum(extraction.sigma[at], LEAST_SIGMA), shape), first)
     return _Fitted(at, regions, fit_surfaces(
         regions, extraction.K, extraction.motion.R_cur_from_prev, motion_field.ground))
 
@@ -215,6 +218,8 @@ def _scored(extraction, motion_field, found):
     if found is None:
         return np.zeros(0)
     K, ground = extraction.K, motion_field.ground
+    if motion_field.ground_like.sum() < LEAST_GROUND:
+        ground = None
     fits = np.isfinite(found.fit.variance)
     fit = found.fit._replace(variance=np.where(fits, found.fit.variance, 1.0))
     outline = outlines(motion_field.x[found.at], motion_field.block[found.at],

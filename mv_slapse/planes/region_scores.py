@@ -28,7 +28,7 @@ LEAST_FILLED = 0.4  # share of its box that a vehicle's blocks cover
 RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane,
 WIDE = 250.0  # px, if it is as wide as this
 LEAST_RATIO = 1.2  # of apparent over ground's inverse depth at which something may hover
-BLANK_ROAD = 0.5  # how surely a place below a region without any vector is ground
+SHOWN = 0.3  # share of a place that ground covers if it is surely there
 STEP = 20.0  # largest part of the score of one pair
 
 
@@ -180,5 +180,8 @@ def _ground_below(outline, i, ratio, x, ground_like):
     reach = max((ratio - 1) * outline.drop[i], 1.75 * lattice.MACROBLOCK)
     seen = across & (below > 0) & (below < reach)
     if not seen.any():
-        return BLANK_ROAD
-    return float(np.clip((ground_like[seen].mean() - 0.3) / 0.3, 0, 1))
+        return 0.0
+    # Dark bodywork has no vectors either: the road must show itself on some of the place.
+    shown = ground_like[seen].sum() * lattice.MACROBLOCK**2 / (outline.size[i, 0] * reach)
+    return float(np.clip((ground_like[seen].mean() - 0.3) / 0.3, 0, 1)
+                 * min(shown / SHOWN, 1.0))
