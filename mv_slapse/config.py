@@ -102,7 +102,7 @@ class ExtractionSettings(Checked):
         'region is called moving: one in a million by chance', 1.0)
     max_planes: int = setting(8, '-', 'most stationary planes of a key frame', 1, 64)
     max_uncertainty: float = setting(
-        0.2, '-', 'standard deviation of a plane n / d, as a share of it, beyond which it is '
+        0.12, '-', 'standard deviation of a plane n / d, as a share of it, beyond which it is '
         'dropped', 0.001, 1.0)
     relief: float = setting(
         0.03, '-', 'depth of a surface about its plane, as a share of depth: a facade 10 m off '

@@ -32,6 +32,10 @@ class Depths:
         """Distance from a plane in standard deviations, (N,)."""
         return (self.rho + self.rays @ plane) / self.sigma
 
+    def error_each(self, planes: np.ndarray) -> np.ndarray:
+        """Distance of each block from a plane of its own, planes (N, 3), as in ``error``."""
+        return (self.rho + np.einsum('ij,ij->i', self.rays, planes)) / self.sigma
+
 
 def sample_planes(depths: Depths, radius: float, trials: int, rng: np.random.Generator):
     """Draw planes (T, 3) through three blocks that lie within a radius [px] of each other.

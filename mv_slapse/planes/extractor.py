@@ -20,6 +20,7 @@ from mv_slapse.planes.camera_motion import MotionFit
 from mv_slapse.planes.consensus import Depths
 from mv_slapse.planes.extraction import PlaneFit
 from mv_slapse.planes.ground import GroundPrior, GroundTrack, Mount
+from mv_slapse.planes.known import KnownPlane
 from mv_slapse.records import (
     CameraMotion,
     Correspondences,
@@ -30,21 +31,19 @@ from mv_slapse.records import (
 )
 import numpy as np
 
-MEMORY_TIME = 0.5e9  # ns: a plane's macroblocks are looked for again this long
-
 
 @dataclass(frozen=True)
 class Memory:
-    """What the last key frame leaves for the next: motion, labels of cells, ground normal."""
+    """What the last key frame leaves for the next: motion, depths, ground and planes."""
 
     stamp: int | None = None
     motion: MotionFit | None = None
-    grid: np.ndarray | None = None
     previous_stamp: int | None = None
     ground: GroundTrack = GroundTrack(Mount())
     noise: float = 1.0
     next_id: int = 0
     depths: scale.DepthMap | None = None
+    planes: tuple[KnownPlane, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class PlaneExtractor:
         self._movers = moving_regions.Memory()
         self._rules = extraction.Rules(
             settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
-            settings.max_planes, settings.max_uncertainty)
+            settings.max_planes, settings.max_uncertainty, settings.relief)
 
     def extract(self, correspondences: Correspondences) -> Extraction:
         """Extract what one key frame pair shows; figure 1 of [MVO], top.
@@ -92,7 +91,7 @@ class PlaneExtractor:
             return replace(blank, reason=_disagreement(evidence))
         ratio = self._ratio(blank, pair, evidence, fit)
         floor = self._ground_prior(blank, fit, ratio)
-        found = Found(fit, evidence, self._planes(blank, pair, evidence, floor))
+        found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor))
         found = self._moving(blank, pair, self._named(found), floor)
         found = self._refined(pair, found)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
@@ -148,7 +147,7 @@ class PlaneExtractor:
         t, _ = labeling.orient(pair, best.R_cur_from_prev, best.t_cur_from_prev)
         return replace(best, t_cur_from_prev=t)
 
-    def _planes(self, blank, pair, evidence, prior: GroundPrior) -> list[PlaneFit]:
+    def _planes(self, blank, pair, evidence, fit, ratio, prior: GroundPrior) -> list[PlaneFit]:
         """Find the ground, then known planes, then new ones, among stationary blocks."""
         rng = np.random.default_rng(self._settings.seed)
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
@@ -158,13 +157,24 @@ class PlaneExtractor:
         if floor is not None:
             found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
-        prior_id = self._prior_id(blank)
-        prior_id[prior_id == self._memory.ground.id] = -1
-        found += extraction.known_planes(depths, free, prior_id, self._rules, rng)
-        for plane in found:
-            free = free & ~plane.member
-        room = self._rules.max_planes - len(found)
-        return found + extraction.new_planes(depths, free, room, self._rules, rng)
+        known = self._known(blank, fit, ratio)
+        walls, known = extraction.stationary_planes(
+            depths, free, known, prior.normal if floor is None else _unit(floor.plane),
+            self._rules, self._rules.max_planes - len(found), self._memory.next_id)
+        newest = max((plane.id for plane in known), default=-1)
+        self._memory = replace(self._memory, planes=tuple(known),
+                               next_id=max(self._memory.next_id, newest + 1))
+        return found + walls
+
+    def _known(self, blank, fit: MotionFit, ratio) -> list[KnownPlane]:
+        """Predict the planes of the last pair; none where this pair does not follow it."""
+        memory = self._memory
+        if memory.stamp != blank.previous_stamp:
+            return []
+        log, sigma = self._log_ratio(blank, ratio)
+        R, t = fit.R_cur_from_prev, fit.t_cur_from_prev
+        predicted = (plane.predicted(R, t, log, sigma) for plane in memory.planes)
+        return [plane for plane in predicted if plane is not None]
 
     def _moving(self, blank, pair, found: Found, prior: GroundPrior) -> Found:
         """Find what moves by itself, and take it out of the stationary planes."""
@@ -179,7 +189,11 @@ class PlaneExtractor:
         shown, self._movers = moving_regions.with_moving_planes(
             shown, floor, self._movers, self._settings.moving_score, prior.normal)
         still = shown.label != Label.MOVING
-        planes = [replace(plane, member=plane.member & still) for plane in found.planes]
+        planes = [replace(plane, member=plane.member & still) for plane in found.planes
+                  if plane.is_ground or np.mean(still[plane.member]) > 0.5]
+        lost = {plane.id for plane in found.planes} - {plane.id for plane in planes}
+        self._memory = replace(self._memory, planes=tuple(
+            plane for plane in self._memory.planes if plane.id not in lost))
         return replace(found, planes=planes, moving=shown)
 
     def _ratio(self, blank, pair, evidence, fit) -> scale.BaselineRatio:
@@ -194,20 +208,18 @@ class PlaneExtractor:
 
     def _ground_prior(self, blank, fit: MotionFit, ratio) -> GroundPrior:
         """Predict the ground; with unknown baseline ratio at an unchanged speed."""
-        memory, log, sigma = self._memory, ratio.log, ratio.sigma
-        if memory.stamp is not None and not np.isfinite(sigma):
-            log = np.log((blank.stamp - blank.previous_stamp)
-                         / (memory.stamp - memory.previous_stamp))
-            sigma = 0.15  # 1.3 m/s at 30 km/h: a hard brake over one dead segment
-        return memory.ground.prior(fit.R_cur_from_prev, fit.t_cur_from_prev, log, sigma,
-                                   self._settings.ground_wobble)
+        log, sigma = self._log_ratio(blank, ratio)
+        return self._memory.ground.prior(fit.R_cur_from_prev, fit.t_cur_from_prev, log, sigma,
+                                         self._settings.ground_wobble)
 
-    def _prior_id(self, blank: Extraction) -> np.ndarray:
-        """Return the plane id that the previous key frame had where each block comes from."""
+    def _log_ratio(self, blank, ratio) -> tuple[float, float]:
+        """Return the logarithm of this baseline over the last one, and its uncertainty."""
         memory = self._memory
-        if memory.grid is None or blank.previous_stamp - memory.stamp > MEMORY_TIME:
-            return np.full(len(blank.x_prev), -1)
-        return lattice.lookup(memory.grid, blank.x_prev)
+        if np.isfinite(ratio.sigma) or memory.previous_stamp is None:
+            return ratio.log, ratio.sigma
+        log = np.log((blank.stamp - blank.previous_stamp)
+                     / (memory.stamp - memory.previous_stamp))
+        return log, 0.15  # 1.3 m/s at 30 km/h: a hard brake over one dead segment
 
     def _refined(self, pair, found: Found) -> Found:
         """Re-estimate motion and planes together, (10), and judge the blocks again."""
@@ -261,10 +273,10 @@ class PlaneExtractor:
             track = track.seen(floor.id, floor.plane, spread)
         evidence, size = found.evidence, (blank.width, blank.height)
         self._memory = Memory(
-            blank.stamp, found.fit, lattice.paint(*size, blank.x_cur, blank.block, plane_id),
-            blank.previous_stamp, track, noise, self._memory.next_id,
+            blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
             scale.depth_map(*size, blank.x_cur, evidence.rho, evidence.sigma_rho,
-                            _with_depth(evidence)))
+                            _with_depth(evidence)),
+            self._memory.planes)
 
 
 def _labels(found: Found):
@@ -289,6 +301,11 @@ def _observations(x_cur, found: Found):
         yield PlaneObservation(plane.id, Label.STATIONARY, plane.plane, plane.covariance,
                                is_ground=plane.is_ground,
                                n_macroblocks=lattice.count_macroblocks(x_cur[plane.member]))
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    """Return a vector divided by its length."""
+    return vector / np.linalg.norm(vector)
 
 
 def _too_few(pair) -> str:
