@@ -25,6 +25,7 @@ from scipy.spatial import cKDTree
 FIRST_ID = 100_000  # moving planes have ids of their own, from here on
 REACH = 24.0  # px between centres of neighbours
 ALIKE = (1.0, 0.12)  # px, share of the longer one: by how much neighbours' vectors may differ
+INSIDE = 2.5  # times as much within a region
 LEAST = 4  # blocks, and as many macroblocks less a half
 LEAST_SIGMA = 0.25  # px, of a vector on a small surface, whatever the pair's calibration says
 SHAPE = 0.04  # share of a vector by which it errs as vehicles and people are no planes
@@ -287,7 +288,11 @@ def _grown(extraction, motion_field, moving):
         H = moving_plane.homography(fit.product, extraction.K, extraction.motion.R_cur_from_prev)
         error = np.linalg.norm(transfer(H, motion_field.x[near]) - extraction.x_prev[near], axis=1)
         length = np.linalg.norm(motion_field.parallax[near], axis=1)
-        joins = near[error < ALIKE[0] + ALIKE[1] * length]
+        within = np.all((motion_field.x[near] > low + lattice.MACROBLOCK / 2)
+                        & (motion_field.x[near] < high - lattice.MACROBLOCK / 2), axis=1)
+        # What a vehicle encloses is part of it, also where its vector is wrong or another face's.
+        slack = np.where(within, INSIDE, 1.0) * (ALIKE[0] + ALIKE[1] * length)
+        joins = near[(error < slack) | within & (extraction.label[near] == Label.UNKNOWN)]
         free[joins] = False
         grown.append(np.r_[member, joins])
     return grown
