@@ -15,7 +15,7 @@ from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
-from mv_slapse.planes.region_scores import outlines, scores
+from mv_slapse.planes.region_scores import Blocks, outlines, scores
 from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -67,6 +67,7 @@ class _Field:
     x: np.ndarray
     block: np.ndarray
     parallax: np.ndarray
+    rho: np.ndarray
     ground_like: np.ndarray
     far: np.ndarray
     plane_id: np.ndarray
@@ -144,7 +145,7 @@ def _motion_field(extraction, ground, level):
     ground_like = (under > 0) & (error < 4) & (np.abs(rho - under) < slack)
     least = FAR if np.any(t) else RESTING
     far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < least)
-    return _Field(x, extraction.block.astype(float), parallax, ground_like, far,
+    return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far,
                   extraction.plane_id, ground, level)
 
 
@@ -223,8 +224,9 @@ def _scored(extraction, motion_field, found):
         ground = None
     fits = np.isfinite(found.fit.variance)
     fit = found.fit._replace(variance=np.where(fits, found.fit.variance, 1.0))
-    outline = outlines(motion_field.x[found.at], motion_field.block[found.at],
-                       found.regions.first, K, ground, motion_field.level)
+    outline = outlines(Blocks(motion_field.x[found.at], motion_field.block[found.at],
+                              motion_field.rho[found.at], found.regions.first),
+                       K, ground, motion_field.level)
     score = scores(fit, outline, K, extraction.motion.t_cur_from_prev, motion_field.x,
                    motion_field.ground_like)
     return np.where(fits, score, 0.0)

@@ -21,6 +21,7 @@ import numpy as np
 BIAS = 0.35  # px that a region's vectors have in common
 LEAST_DROP = 8.0  # px below the horizon from which on a lower edge tells something
 FOOT_SIGMA = 8.0  # px of the lower edge, seen to a block, and of the horizon
+FOOT_HEIGHT = 40.0  # px above the lower edge that show how near it is
 GROUND_SIGMA = 0.07  # share of the ground's inverse depth: slope, kerbs
 LOWEST, TALLEST = 0.5, 2.0  # heights of a camera, of what may be a vehicle or a person
 LOWEST_PART = 0.3  # the same of a part that comes towards the camera
@@ -30,6 +31,25 @@ WIDE = 250.0  # px, if it is as wide as this
 LEAST_RATIO = 1.2  # of apparent over ground's inverse depth at which something may hover
 SHOWN = 0.3  # share of a place that ground covers if it is surely there
 STEP = 20.0  # largest part of the score of one pair
+
+
+class Blocks(NamedTuple):
+    """Blocks of one region after the other.
+
+    Attributes
+    ----------
+    x, block : (N, 2), (N, 2) float64
+        Centres and sizes [px].
+    rho : (N,) float64
+        Apparent inverse depths [1/baseline].
+    first : (R,) int
+        Where each region begins.
+    """
+
+    x: np.ndarray
+    block: np.ndarray
+    rho: np.ndarray
+    first: np.ndarray
 
 
 class Outlines(NamedTuple):
@@ -47,6 +67,8 @@ class Outlines(NamedTuple):
         Inverse depth of the ground there [1/baseline]; 0 where that is unknown.
     filled : (R,) float64
         Share of the box that blocks cover.
+    rho : (R,) float64
+        Mean apparent inverse depth of the blocks near the foot [1/baseline].
     """
 
     low: np.ndarray
@@ -55,6 +77,7 @@ class Outlines(NamedTuple):
     drop: np.ndarray
     under: np.ndarray
     filled: np.ndarray
+    rho: np.ndarray
 
     @property
     def size(self) -> np.ndarray:
@@ -62,22 +85,20 @@ class Outlines(NamedTuple):
         return self.high - self.low + lattice.MACROBLOCK
 
 
-def outlines(x: np.ndarray, block: np.ndarray, first: np.ndarray, K: np.ndarray,
-             ground: np.ndarray | None, level: np.ndarray | None) -> Outlines:
+def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
+             level: np.ndarray | None) -> Outlines:
     """Return the Outlines of regions.
 
     Parameters
     ----------
-    x, block : (N, 2), (N, 2) arrays
-        Centres and sizes of the blocks of one region after the other [px].
-    first : (R,) array
-        Where each region begins.
+    blocks : Blocks
     K : (3, 3) array
     ground : (3,) array or None
         Ground plane n / d in camera k [1/baseline].
     level : (3,) array or None
         The same at any length, where only the horizon is known.
     """
+    x, block, first = blocks.x, blocks.block, blocks.first
     size = np.diff(first, append=len(x))
     bottom = x[:, 1] + 0.5 * block[:, 1]
     # A single block below all others is taken for a stray, as geometry.moving_plane.contact does.
@@ -93,7 +114,9 @@ def outlines(x: np.ndarray, block: np.ndarray, first: np.ndarray, K: np.ndarray,
         drop = rays @ level / (level[1] / K[1, 1])
     low, high = np.minimum.reduceat(x, first), np.maximum.reduceat(x, first)
     filled = area / np.prod(high - low + lattice.MACROBLOCK, axis=1)
-    return Outlines(low, high, foot, drop, under, filled)
+    lower = (bottom > np.repeat(edge, size) - FOOT_HEIGHT).astype(float)
+    rho = np.add.reduceat(blocks.rho * lower, first) / np.add.reduceat(lower, first)
+    return Outlines(low, high, foot, drop, under, filled, rho)
 
 
 def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, x: np.ndarray,
@@ -119,7 +142,10 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, x: np
     at_foot, sigma = _at_foot(fit, outline, K, apparent, 1 / np.sqrt(information))
     share = np.hypot(FOOT_SIGMA / np.maximum(drop, 1.0), GROUND_SIGMA)
     stands = (outline.under > 0) & np.any(t != 0)
-    distance += stands * _below_ground(at_foot, sigma, outline.under, share)
+    # A hedge along the road is no plane: its foot is nearer than the plane of the whole says.
+    distance += stands * _below_ground(np.maximum(at_foot, outline.rho), sigma, outline.under,
+                                       share)
+    at_foot = np.minimum(at_foot, outline.rho)
     # The road's own wrong vectors are short: low or scattered, they are no vehicle.
     road = (size[:, 1] < LOWEST * drop) | (outline.filled < LEAST_FILLED)
     distance[np.isfinite(drop) & road] = np.minimum(distance[np.isfinite(drop) & road], 0.0)
