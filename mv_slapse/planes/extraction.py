@@ -195,10 +195,13 @@ def _seen_again(blocks: Blocks, known: Sequence[KnownPlane]):
 
 def _new(blocks: Blocks, taken: np.ndarray, room: int):
     """Find new planes, the one that explains most first, as (now, None)."""
-    planes, squared = windows.grown(blocks.windows, blocks.depths, blocks.up)
+    vacant = blocks.windows.mean @ (taken == 0) > 0.5
+    if room <= 0 or not vacant.any():
+        return []
+    planes, squared = windows.grown(blocks.windows, vacant, blocks.depths, blocks.up)
     gains = blocks.gain(squared)
     found = []
-    for _ in range(2 * max(room, 0)):
+    for _ in range(2 * room):
         more = np.maximum(gains - taken[:, None], 0).sum(axis=0)
         best = int(np.argmax(more))
         if more[best] < _least_gain(blocks) or len(found) == room:

@@ -60,7 +60,8 @@ class Windows:
         excess : (N, H) array
             Difference of mean squared errors, each at most CAP; infinite without a window.
         """
-        worse = (self.mean @ np.minimum(squared, CAP))[self.best] - self.cost[:, None]
+        mean = self.mean @ np.minimum(squared.astype(np.float32), np.float32(CAP))
+        worse = mean[self.best] - self.cost[:, None]
         worse[self.best < 0] = np.inf
         return worse
 
@@ -167,27 +168,33 @@ def _best(window, block, cost: np.ndarray, n: int) -> np.ndarray:
     return best
 
 
-def grown(windows: Windows, depths: Depths, up: np.ndarray, steps: int = 3):
+def grown(windows: Windows, which: np.ndarray, depths: Depths, up: np.ndarray, steps: int = 3):
     """Fit the windows' planes to all blocks in reach, so that they settle on whole surfaces.
+
+    Parameters
+    ----------
+    which : (W,) bool array
+        The H windows to begin with.
 
     Returns
     -------
-    planes : (W, 3) array
-    squared : (N, W) array
+    planes : (H, 3) array
+    squared : (N, H) array
         Squared errors of the blocks, infinite out of reach.
     """
-    rows = np.abs(windows.centres[:, None] - depths.x).max(axis=2) < REACH
+    planes, centres = windows.planes[which], windows.centres[which]
+    near = np.abs(centres[:, [0]] - depths.x[:, 0]) < REACH
+    near &= np.abs(centres[:, [1]] - depths.x[:, 1]) < REACH
     scale = (1 / depths.sigma).astype(np.float32)
     rays, rho = (depths.rays.T * scale).astype(np.float32), (depths.rho * scale).astype(np.float32)
     terms = (_terms(depths) * np.square(scale)[:, None]).astype(np.float32)
-    planes = windows.planes
     for width in (2.0, *[1.0] * (steps - 1)):
         squared = np.square(planes.astype(np.float32) @ rays + rho)
-        A, b = _equations((rows / np.square(1 + squared / width**2)) @ terms)
+        A, b = _equations((near / np.square(1 + squared / np.float32(width**2))) @ terms)
         covariance = np.linalg.inv(A)
         planes = upright(np.einsum('nij,nj->ni', covariance, b), covariance, up)[0]
     squared = np.square(planes.astype(np.float32) @ rays + rho)
-    return planes, np.where(rows, squared, np.inf).T
+    return planes, np.where(near, squared, np.float32(np.inf)).T
 
 
 def upright(planes: np.ndarray, covariance: np.ndarray, up: np.ndarray):
