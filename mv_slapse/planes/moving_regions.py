@@ -25,6 +25,7 @@ from scipy.spatial import cKDTree
 FIRST_ID = 100_000  # moving planes have ids of their own, from here on
 REACH = 24.0  # px between centres of neighbours
 ALIKE = (1.0, 0.12)  # px, share of the longer one: by how much neighbours' vectors may differ
+ALIKE_SHORT = 0.15  # share of the median vector that the former is at most, down to a half
 INSIDE = 2.5  # times as much within a region
 LEAST = 4  # blocks, and as many macroblocks less a half
 LEAST_SIGMA = 0.25  # px, of a vector on a small surface, whatever the pair's calibration says
@@ -180,7 +181,9 @@ def _alike_pairs(motion_field):
         return np.zeros((2, 0), int)
     a, b = cKDTree(x).query_pairs(REACH, output_type='ndarray').T
     longer = np.maximum(np.linalg.norm(m[a], axis=1), np.linalg.norm(m[b], axis=1))
-    same = np.linalg.norm(m[a] - m[b], axis=1) < ALIKE[0] + ALIKE[1] * longer
+    # Where all vectors are short a pixel would join the whole scene.
+    slack = np.clip(ALIKE_SHORT * np.median(np.linalg.norm(m, axis=1)), 0.5, 1.0) * ALIKE[0]
+    same = np.linalg.norm(m[a] - m[b], axis=1) < slack + ALIKE[1] * longer
     # A car before a facade may move as it does for a while: what is a plane stays by itself.
     same &= (plane[a] == plane[b]) & ~motion_field.far[a] & ~motion_field.far[b]
     return a[same], b[same]
