@@ -24,6 +24,7 @@ FOOT_SIGMA = 8.0  # px of the lower edge, seen to a block, and of the horizon
 FOOT_HEIGHT = 40.0  # px above the lower edge that show how near it is
 GROUND_SIGMA = 0.07  # share of the ground's inverse depth: slope, kerbs
 LOWEST, TALLEST = 0.5, 2.0  # heights of a camera, of what may be a vehicle or a person
+WIDEST = 5.0  # of the same
 LOWEST_PART = 0.3  # the same of a part that comes towards the camera
 LEAST_FILLED = 0.4  # share of its box that a vehicle's blocks cover
 RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane,
@@ -143,8 +144,10 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, x: np
     share = np.hypot(FOOT_SIGMA / np.maximum(drop, 1.0), GROUND_SIGMA)
     stands = (outline.under > 0) & np.any(t != 0)
     # A hedge along the road is no plane: its foot is nearer than the plane of the whole says.
-    distance += stands * _below_ground(np.maximum(at_foot, outline.rho), sigma, outline.under,
-                                       share)
+    # What is larger than a vehicle is a building, and the ground is not where it should be.
+    small = np.all(size <= np.outer(np.maximum(drop, 1.0), (WIDEST, TALLEST)), axis=1)
+    distance += (stands & small) * _below_ground(np.maximum(at_foot, outline.rho), sigma,
+                                                 outline.under, share)
     at_foot = np.minimum(at_foot, outline.rho)
     # The road's own wrong vectors are short: low or scattered, they are no vehicle.
     road = (size[:, 1] < LOWEST * drop) | (outline.filled < LEAST_FILLED)

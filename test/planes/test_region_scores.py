@@ -1,0 +1,75 @@
+"""Scores of regions: what is still scores nothing, what cannot be still scores much."""
+
+from mv_slapse.geometry.camera import to_pixels, to_rays
+from mv_slapse.planes.moving import fit_surfaces, Regions
+from mv_slapse.planes.region_scores import Blocks, outlines, scores, STEP
+import numpy as np
+import pytest
+
+K = np.array([[700.0, 0, 600], [0, 700, 180], [0, 0, 1]])
+T = np.array([0.0, 0.0, -1.0])
+HEIGHT = 1.65  # [baseline]
+GROUND = np.array([0.0, -1.0, 0.0]) / HEIGHT
+GRID = np.stack(np.meshgrid(np.arange(7.5, 1200, 16), np.arange(7.5, 370, 16)), -1).reshape(-1, 2)
+FIRST_ROW = 180.0
+
+
+def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), ground=GROUND,
+          keep=1.0, t=T):
+    """Return the score of an upright face at a depth that moves by ``motion`` in the pair."""
+    corner = [to_pixels(K, np.array([[*c, depth]]))[0] for c in (low, high)]
+    x = GRID[np.all((corner[0] < GRID) & (corner[1] > GRID), axis=1)]
+    x = x[np.random.default_rng(0).uniform(size=len(x)) < keep] if keep < 1 else x
+    X = to_rays(K, x) * depth
+    x_prev = to_pixels(K, X - np.array(motion) - t)
+    regions = Regions(to_rays(K, x), x_prev, np.full(len(x), 0.3), np.zeros(1, int))
+    apparent = (to_rays(K, x_prev)[:, :2] - to_rays(K, x)[:, :2])
+    rho = np.sum(apparent * to_rays(K, x_prev)[:, :2] * t[2], axis=1) / np.maximum(
+        np.sum(to_rays(K, x_prev)[:, :2]**2, axis=1), 1e-9)
+    blocks = Blocks(x, np.full(x.shape, 16.0), rho, np.zeros(1, int))
+    outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]))
+    fit = fit_surfaces(regions, K, np.eye(3), GROUND)
+    free = GRID[:, 1] > max(outline.foot[0, 1], FIRST_ROW)
+    return scores(fit, outline, K, t, GRID, free)[0]
+
+
+@pytest.mark.parametrize('depth', [8.0, 14.0, 20.0])
+def test_what_stands_on_the_ground_scores_nothing(depth):
+    assert score(depth) < 2
+
+
+@pytest.mark.parametrize('motion', [(0, 0, 1.0), (0, 0, 1.4), (0.5, 0, 0), (0, 0, -1.5)],
+                         ids=['same speed', 'faster', 'crossing', 'oncoming'])
+def test_what_moves_on_the_ground_scores(motion):
+    assert score(12.0, motion) > 10
+
+
+def test_no_pair_alone_calls_a_region_moving():
+    assert score(8.0, (2.0, 0, 0)) == STEP
+
+
+def test_what_ends_above_the_horizon_scores_nothing():
+    assert score(12.0, (0.5, 0, 0), (-1.0, -2.0), (1.0, -0.3)) <= 0
+
+
+def test_what_is_flat_on_the_road_scores_nothing():
+    assert score(8.0, (0, 0, 1.0), (-3.0, 1.1), (3.0, HEIGHT)) <= 0
+
+
+def test_scattered_blocks_are_no_vehicle():
+    assert score(8.0, (0.5, 0, 0), keep=0.25) <= 0
+
+
+def test_a_building_does_not_move_whatever_the_ground_says():
+    near = GROUND * 3  # a ground that is wrong by far
+    assert score(20.0, low=(-15.0, -6.0), high=(15.0, HEIGHT), ground=near) < 2
+
+
+def test_without_ground_what_leaves_the_flow_still_scores():
+    assert score(12.0, (0.5, 0, 0), ground=None) > 10
+    assert score(12.0, (0, 0, -1.5), ground=None) < 2
+
+
+def test_a_standing_camera_sees_any_motion():
+    assert score(12.0, (0.5, 0, 0), ground=None, t=np.zeros(3)) > 10
+    assert score(12.0, ground=None, t=np.zeros(3)) < 0
