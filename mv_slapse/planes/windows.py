@@ -144,7 +144,7 @@ def _terms(depths: Depths) -> np.ndarray:
 def _equations(sums: np.ndarray):
     """Return A (H, 3, 3), never singular, and b (H, 3) from sums of terms (H, 12)."""
     A = sums[:, :9].reshape(-1, 3, 3).astype(float)
-    ridge = 1e-6 * np.trace(A, axis1=1, axis2=2) + 1e-12
+    ridge = 10 * np.finfo(sums.dtype).eps * np.trace(A, axis1=1, axis2=2) + 1e-12
     return A + ridge[:, None, None] * np.eye(3), sums[:, 9:].astype(float)
 
 
