@@ -4,7 +4,7 @@ Motion as in [MVO]: X_cur = R X_prev + t, so x_cur^T F x_prev = 0 with F = K^-T 
 Rays are K^-1 x with last coordinate 1. Inverse depths are in units of 1/|t|.
 """
 
-from mv_slapse.geometry.rotation import skew
+from mv_slapse.geometry.rotation import cross, skew
 import numpy as np
 
 
@@ -33,14 +33,14 @@ def epipolar_error(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev)
     error : (N,) array
         [px].
     """
-    c = np.cross(rays_cur, t_cur_from_prev)
+    c = cross(rays_cur, t_cur_from_prev)
     line = c @ R_cur_from_prev
     return np.einsum('ij,ij->i', rays_prev, line) / _line_norm(line, focal)
 
 
 def epipolar_jacobian(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
     """Return epipolar_error (N,) [px] and its derivative (N, 6) by (w, t), R -> exp(w) R."""
-    c = np.cross(rays_cur, t_cur_from_prev)
+    c = cross(rays_cur, t_cur_from_prev)
     line = c @ R_cur_from_prev
     norm = _line_norm(line, focal)
     error = np.einsum('ij,ij->i', rays_prev, line) / norm
@@ -50,8 +50,8 @@ def epipolar_jacobian(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_pr
     e_n = (error / norm)[:, None]
     by_c = y - e_n * slope
     jacobian = np.empty((len(error), 6))
-    jacobian[:, :3] = np.cross(y, c) - e_n * np.cross(slope, c)
-    jacobian[:, 3:] = np.cross(by_c, rays_cur)
+    jacobian[:, :3] = cross(y, c) - e_n * cross(slope, c)
+    jacobian[:, 3:] = cross(by_c, rays_cur)
     return error, jacobian / norm[:, None]
 
 

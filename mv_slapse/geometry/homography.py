@@ -1,5 +1,6 @@
 """Homographies that planes induce, x_prev ~ H x_cur, (9) of [MVO]."""
 
+from mv_slapse.geometry.rotation import cross
 import numpy as np
 
 
@@ -54,7 +55,7 @@ def plane_transfer_jacobian(rays_cur, K, R_cur_from_prev, t_cur_from_prev, plane
     by_q[:, :, 2] = -focal * q[:, :2] / q[:, 2:]**2
     a = by_q @ R_cur_from_prev.T
     jacobian = np.empty((len(q), 2, 9))
-    jacobian[:, :, :3] = np.cross(a, p[:, None])
+    jacobian[:, :, :3] = cross(a, p[:, None])
     jacobian[:, :, 3:6] = a * along[:, None, None]
     jacobian[:, :, 6:] = (a @ t_cur_from_prev)[:, :, None] * rays_cur[:, None]
     return pixels, jacobian

@@ -31,3 +31,9 @@ def test_tangent_basis_is_orthonormal_and_normal_to_its_direction(rng):
         basis = rotation.tangent_basis(direction)
         np.testing.assert_allclose(basis.T @ basis, np.eye(2), atol=1e-14)
         np.testing.assert_allclose(direction @ basis, 0, atol=1e-14)
+
+
+@pytest.mark.parametrize('shapes', [((7, 3), (3,)), ((7, 3), (7, 3)), ((7, 2, 3), (7, 1, 3))])
+def test_cross_is_the_cross_product(rng, shapes):
+    a, b = (rng.normal(size=shape) for shape in shapes)
+    np.testing.assert_array_equal(rotation.cross(a, b), np.cross(a, b))
