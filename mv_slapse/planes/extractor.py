@@ -188,9 +188,12 @@ class PlaneExtractor:
         fit = found.fit
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev)
         shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
+                        planes=tuple(_observations(blank.x_cur, found)),
                         sigma=pair.sigma.astype(np.float32))
         shown, self._movers = moving_regions.with_moving_planes(
             shown, floor, self._movers, self._settings.moving_score, prior.normal)
+        shown = replace(shown, planes=tuple(
+            plane for plane in shown.planes if plane.label is Label.MOVING))
         still = shown.label != Label.MOVING
         planes = [replace(plane, member=plane.member & still) for plane in found.planes
                   if plane.is_ground or np.mean(still[plane.member]) > 0.5]

@@ -27,6 +27,7 @@ REACH = 24.0  # px between centres of neighbours
 ALIKE = (1.0, 0.12)  # px, share of the longer one: by how much neighbours' vectors may differ
 ALIKE_SHORT = 0.15  # share of the median vector that the former is at most, down to a half
 INSIDE = 2.5  # times as much within a region
+SAME_PLANE = 0.7  # share of a region and of a plane that they have in common if they are one
 LEAST = 4  # blocks, and as many macroblocks less a half
 LEAST_SIGMA = 0.25  # px, of a vector on a small surface, whatever the pair's calibration says
 SHAPE = 0.04  # share of a vector by which it errs as vehicles and people are no planes
@@ -115,7 +116,9 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     score, before = _inherited(extraction, memory)
     total = _scored(extraction, motion_field, found) + FADING * _better_half(
         members, score)
-    ids, next_id = _named(members, total, _majority(members, before), memory.next_id, threshold)
+    known = _majority(members, before)
+    known = np.where(known >= 0, known, _covered(members, extraction))
+    ids, next_id = _named(members, total, known, memory.next_id, threshold)
     # What is in no region this time is not forgotten at once.
     score, before = FADING * np.nan_to_num(score) * ~motion_field.ground_like, np.full(
         len(before), -1)
@@ -267,11 +270,27 @@ def _majority(members, ids):
     return result
 
 
+def _covered(members, extraction):
+    """Return the stationary plane (R,) that each region is most of, -1 for none.
+
+    A parked car that starts keeps its plane's id, by which its state passes to the obstacles.
+    """
+    ground = {plane.id for plane in extraction.planes if plane.is_ground} | {-1}
+    result = np.full(len(members), -1)
+    for i, member in enumerate(members):
+        values, count = np.unique(extraction.plane_id[member], return_counts=True)
+        id_, n = int(values[count.argmax()]), count.max()
+        covers = SAME_PLANE * np.sum(extraction.plane_id == id_)
+        if id_ not in ground and n >= max(SAME_PLANE * len(member), covers):
+            result[i] = id_
+    return result
+
+
 def _named(members, score, before, next_id, threshold):
     """Return the ids (R,) of regions that move: of the region they come from, or a new one."""
     ids, taken = np.full(len(members), -1), set()
     # What was called moving is given up later than it was found.
-    moves = score >= np.where(before >= 0, 0.5, 1.0) * threshold
+    moves = score >= np.where(before >= FIRST_ID, 0.5, 1.0) * threshold
     for i in sorted(np.flatnonzero(moves), key=lambda i: -len(members[i])):
         ids[i] = before[i] if before[i] >= 0 and before[i] not in taken else next_id
         next_id += int(ids[i] == next_id)

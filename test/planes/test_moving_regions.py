@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 
+from mv_slapse.config import ExtractionSettings
 from mv_slapse.planes import moving_regions
+from mv_slapse.planes.extractor import PlaneExtractor
 from mv_slapse.planes.moving_regions import Memory, with_moving_planes
 from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus
 from mv_slapse.simulation.drawn import draw
@@ -131,3 +133,29 @@ def test_a_gap_forgets_and_no_blocks_are_no_movers(rng):
     nothing = replace(extraction, **{name: getattr(extraction, name)[:0] for name in (
         'x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')})
     assert with_moving_planes(nothing, plane, memory, THRESHOLD)[0].planes == ()
+
+
+def test_a_plane_that_begins_to_move_keeps_its_id(rng):
+    memory, street = Memory(), street_of('faster')
+    for j in range(STEP, 60, STEP):
+        extraction, drawn, plane = extraction_of(street, j - STEP, j, rng, outliers=0.0)
+        car = drawn.label == Label.MOVING
+        extraction = replace(extraction, plane_id=np.where(car, 7, -1).astype(np.int32))
+        found, memory = with_moving_planes(extraction, plane, memory, THRESHOLD)
+    assert [item.id for item in found.planes] == [7]
+    assert np.mean(found.plane_id[car] == 7) > 0.8
+
+
+def test_a_standing_camera_sees_traffic(rng):
+    street = Street(StreetSettings(seed=1, movers=('oncoming',), n_frames=200,
+                                   standstill=(0.0, 20.0)))
+    extractor, hits, wrong = PlaneExtractor(street.camera, ExtractionSettings()), [], []
+    for j in range(148, 196, 4):
+        drawn = draw(street, j - 4, j, rng, 0.05, 0.0)
+        found = extractor.extract(drawn.correspondences)
+        assert found.motion.status is MotionStatus.STANDSTILL
+        on_it = drawn.label == Label.MOVING
+        hits.append(np.mean(found.label[on_it] == Label.MOVING) >= 0.5)
+        wrong.append(np.mean(found.label[~on_it] == Label.MOVING))
+    assert np.mean(hits[3:]) > 0.7
+    assert max(wrong) < 0.01
