@@ -100,6 +100,17 @@ def test_a_wall_of_few_macroblocks_is_none(rng):
     assert find(depths, find(depths, free=free)[1], free=free)[0] == []
 
 
+def test_small_partitions_count_as_their_macroblock(rng):
+    known = ()
+    for _ in range(3):
+        depths, surface = walls(rng)
+        few = np.flatnonzero((surface == 2) & (depths.x[:, 1] < 24))
+        four = depths[np.repeat(few, 4)]
+        four.rho[:] *= 1 + 0.025 * rng.normal(size=len(four))
+        fits, known = find(four, known)
+        assert fits == []
+
+
 def test_a_hidden_plane_is_remembered(rng):
     fits, known, surface = often(rng)
     gone = fits[0].id
