@@ -32,6 +32,7 @@ LEAST = 4  # blocks, and as many macroblocks less a half
 LEAST_SIGMA = 0.25  # px, of a vector on a small surface, whatever the pair's calibration says
 SHAPE = 0.04  # share of a vector by which it errs as vehicles and people are no planes
 ON_GROUND = 0.2  # share of the ground's inverse depth within which a block is ground
+BELOW_GROUND = 0.7  # share of the ground's inverse depth below which nothing still can be
 LEAST_GROUND = 20  # blocks that show the ground to be where it is expected
 FAR = 1.5  # px of parallax, less is far off,
 RESTING = 0.75  # px, or rests where the camera stands
@@ -63,7 +64,8 @@ class Memory:
 class _Field:
     """Motion of all blocks after removing rotation, and which cannot belong to an obstacle.
 
-    ``ground_like`` blocks move as the ground does, ``far`` ones above the horizon do not move.
+    ``ground_like`` blocks move as the ground does, ``far`` ones above the horizon do not move,
+    ``below`` ones look farther than the ground that they would hide.
     """
 
     x: np.ndarray
@@ -72,6 +74,7 @@ class _Field:
     rho: np.ndarray
     ground_like: np.ndarray
     far: np.ndarray
+    below: np.ndarray
     plane_id: np.ndarray
     ground: np.ndarray | None
     level: np.ndarray | None
@@ -145,11 +148,13 @@ def _motion_field(extraction, ground, level):
     under = -(rays @ ground) if ground is not None else np.zeros(len(x))
     rho, per_pixel = epipolar.inverse_depth(rays, before, focal, R, t)
     error = np.abs(epipolar.epipolar_error(rays, before, focal, R, t)) / extraction.sigma
-    slack = 3 * per_pixel * extraction.sigma + ON_GROUND * under
+    noise = per_pixel * extraction.sigma
+    slack = 3 * noise + ON_GROUND * under
     ground_like = (under > 0) & (error < 4) & (np.abs(rho - under) < slack)
     least = FAR if np.any(t) else RESTING
     far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < least)
-    return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far,
+    below = rho + 2 * noise < BELOW_GROUND * under
+    return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far, below,
                   extraction.plane_id, ground, level)
 
 
@@ -189,6 +194,8 @@ def _alike_pairs(motion_field):
     same = np.linalg.norm(m[a] - m[b], axis=1) < slack + ALIKE[1] * longer
     # A car before a facade may move as it does for a while: what is a plane stays by itself.
     same &= (plane[a] == plane[b]) & ~motion_field.far[a] & ~motion_field.far[b]
+    # A car ahead may move as what is far behind it does; but that is not farther than the ground.
+    same &= motion_field.below[a] == motion_field.below[b]
     return a[same], b[same]
 
 
