@@ -314,13 +314,15 @@ def _grown(extraction, motion_field, moving):
     for member, fit in moving:
         x = motion_field.x[member]
         low, high = x.min(axis=0) - lattice.MACROBLOCK, x.max(axis=0) + lattice.MACROBLOCK
+        # Of a car ahead the part near the horizon is never clearly farther than the ground.
+        low[1] -= 0.5 * (high[1] - low[1])
         near = np.flatnonzero(free & np.all((motion_field.x >= low) & (motion_field.x <= high),
                                             axis=1))
         H = moving_plane.homography(fit.product, extraction.K, extraction.motion.R_cur_from_prev)
         error = np.linalg.norm(transfer(H, motion_field.x[near]) - extraction.x_prev[near], axis=1)
         length = np.linalg.norm(motion_field.parallax[near], axis=1)
-        within = np.all((motion_field.x[near] > low + lattice.MACROBLOCK / 2)
-                        & (motion_field.x[near] < high - lattice.MACROBLOCK / 2), axis=1)
+        within = np.all((motion_field.x[near] >= x.min(axis=0))
+                        & (motion_field.x[near] <= x.max(axis=0)), axis=1)
         # What a vehicle encloses is part of it, also where its vector is wrong or another face's.
         slack = np.where(within, INSIDE, 1.0) * (ALIKE[0] + ALIKE[1] * length)
         joins = near[(error < slack) | within & (extraction.label[near] == Label.UNKNOWN)]
