@@ -1,8 +1,9 @@
 """Scores of regions: what is still scores nothing, what cannot be still scores much."""
 
+from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.planes.moving import fit_surfaces, Regions
-from mv_slapse.planes.region_scores import Blocks, outlines, scores, STEP
+from mv_slapse.planes.region_scores import Blocks, outlines, scores
 import numpy as np
 import pytest
 
@@ -45,7 +46,7 @@ def test_what_moves_on_the_ground_scores(motion):
 
 
 def test_no_pair_alone_calls_a_region_moving():
-    assert score(8.0, (2.0, 0, 0)) == STEP
+    assert score(8.0, (2.0, 0, 0)) < ExtractionSettings().moving_score
 
 
 def test_what_ends_above_the_horizon_scores_nothing():
