@@ -117,9 +117,12 @@ def replay(bag, names, readers, folder) -> BagReader:
     try:
         with Recorder(folder / 'recorded', TOPICS, LATCHED) as recorder, running(names, folder):
             node = recorder.node
+            # The recorder's own subscriptions count as well: that nodes are up shows only in
+            # their publishers. Matching takes up to half a second more on a busy machine.
             assert recorder.spin(lambda: all(
-                node.count_subscribers(topic) >= n for topic, n in readers.items()), 30)
-            recorder.spin(lambda: False, 0.5)
+                node.count_subscribers(topic) >= n and node.count_publishers(topic)
+                for topic, n in readers.items()), 30)
+            recorder.spin(lambda: False, 1.5)
             player = subprocess.Popen([sys.executable, ROOT / 'test/system/player.py', bag])
             assert recorder.spin(lambda: player.poll() is not None, 90)
             assert player.returncode == 0
