@@ -95,7 +95,7 @@ class ExtractionSettings(Checked):
     epsilon_m: float = setting(
         1.0, 'px', 'smallest parallax of a block not at infinity, (7) of [MVO]', 0.0, 20.0)
     epsilon_h: float = setting(
-        3.0, 'sigma', 'largest error of a block on a plane, along its epipolar line', 0.5, 20.0)
+        3.0, 'sigma', 'largest error of a block on the ground, along its epipolar line', 0.5, 20.0)
     min_macroblocks: int = setting(20, '-', 'smallest plane, section VII-A of [SLAPSE]', 4)
     moving_score: float = setting(
         30.0, '-', 'squared distance from anything stationary, summed over key frames, at which a '
@@ -107,8 +107,10 @@ class ExtractionSettings(Checked):
     relief: float = setting(
         0.03, '-', 'depth of a surface about its plane, as a share of depth: a facade 10 m off '
         'has windows and hedges of 0.3 m', 0.0, 1.0)
-    trials: int = setting(256, '-', 'planes sampled for each consensus', 8, 100000)
-    radius: float = setting(96.0, 'px', 'blocks sampled for one plane lie this close', 16.0)
+    trials: int = setting(256, '-', 'planes sampled in the search for the ground', 8, 100000)
+    radius: float = setting(
+        96.0, 'px', 'a quarter of the distance within which blocks are sampled for the ground',
+        16.0)
     ground_tilt: float = setting(
         0.07, 'rad', 'standard deviation of the ground normal before it is found: 4 deg of '
         'mounting', 0.001, 1.0)

@@ -48,7 +48,7 @@ class MotionStatus(IntEnum):
 
 
 class ScalePrior(IntEnum):
-    """What settled the size of a moving plane, which two views leave open (ALGORITHM 4)."""
+    """What settled the size of a moving plane, which two views leave open, see docs/papers.md."""
 
     NONE = 0
     GROUND_CONTACT = 1

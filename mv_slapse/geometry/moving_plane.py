@@ -142,7 +142,7 @@ def contact(x: np.ndarray, block: np.ndarray) -> Contact:
 
 def contact_depth(ground: np.ndarray, contact_: Contact, K: np.ndarray, slope: np.ndarray,
                   centre: np.ndarray) -> ContactDepth | None:
-    """Depth of a region's centre from the ground plane under its lower edge (ALGORITHM 4).
+    """Depth of a region's centre from the ground plane under its lower edge, the scale prior.
 
     Parameters
     ----------
