@@ -6,6 +6,7 @@ each correspondence is used once.
 """
 
 from mv_slapse.config import SceneSettings
+from mv_slapse.filters import ekf
 from mv_slapse.filters.scene_state import (
     log_baseline,
     observation_jacobian,
@@ -63,13 +64,10 @@ def correspondences(state: SceneState, start: np.ndarray, pair: two_view.Pair, i
 
 def linear(state: SceneState, innovation: np.ndarray, H: np.ndarray, noise: np.ndarray):
     """Update with a direct observation, Joseph form; returns the state and its NIS."""
-    S = H @ state.P @ H.T + noise
-    K = np.linalg.solve(S, H @ state.P).T
-    nis = float(innovation @ np.linalg.solve(S, innovation))
-    moved = state.moved(K @ innovation)
-    I_KH = np.eye(state.size) - K @ H
-    P = I_KH @ state.P @ I_KH.T + K @ noise @ K.T
-    moved.error.P = 0.5 * (P + P.T)
+    nis = ekf.squared_distance(innovation, H @ state.P @ H.T + noise)
+    ekf.update(state.error, innovation, H, noise)
+    moved = state.moved(state.error.mu)
+    moved.error.mu = np.zeros(state.size)
     return moved, nis
 
 

@@ -80,8 +80,8 @@ class PlaneExtractor:
         Returns an Extraction whose motion status is UNKNOWN, with a reason, where the pair is
         broken or no motion explains enough of its vectors.
         """
-        pair = self._pair(correspondences)
-        settings, blank = self._settings, self._blank(correspondences, pair)
+        settings, blank = self._settings, self._blank(correspondences)
+        pair = _pair(blank)
         reason = correspondences.reason or _too_few(pair)
         if reason:
             return replace(blank, reason=reason)
@@ -101,25 +101,20 @@ class PlaneExtractor:
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
         return self._finished(blank, pair, found, noise, floor)
 
-    def _pair(self, correspondences: Correspondences) -> two_view.Pair:
-        """Undistort; columns are rounded to float32 as messages hold them."""
-        x_cur = undistort(self._camera, correspondences.x_cur).astype(np.float32)
-        x_prev = undistort(self._camera, correspondences.x_prev).astype(np.float32)
-        K = self._camera.K
-        return two_view.Pair(to_rays(K, x_cur.astype(float)), to_rays(K, x_prev.astype(float)),
-                             x_prev.astype(float), correspondences.sigma.astype(float), K)
+    def _blank(self, correspondences: Correspondences) -> Extraction:
+        """Return an extraction that knows nothing yet but undistorted pixels.
 
-    def _blank(self, correspondences, pair) -> Extraction:
-        """Return an extraction that knows nothing yet."""
-        n = len(pair)
+        Columns are rounded to float32 as messages hold them.
+        """
+        n = len(correspondences)
         return Extraction(
             correspondences.stamp, correspondences.previous_stamp, correspondences.width,
             correspondences.height, correspondences.kind, self._camera.K,
             CameraMotion(MotionStatus.UNKNOWN),
             x_cur=undistort(self._camera, correspondences.x_cur).astype(np.float32),
-            x_prev=pair.x_prev.astype(np.float32), sigma=correspondences.sigma,
-            block=correspondences.block, label=np.full(n, Label.UNKNOWN, np.int8),
-            plane_id=np.full(n, -1, np.int32))
+            x_prev=undistort(self._camera, correspondences.x_prev).astype(np.float32),
+            sigma=correspondences.sigma, block=correspondences.block,
+            label=np.full(n, Label.UNKNOWN, np.int8), plane_id=np.full(n, -1, np.int32))
 
     def _standing(self, blank: Extraction) -> Extraction:
         """Label a key frame pair of a camera that stands still: what moves then moves itself.
@@ -317,6 +312,13 @@ def _observations(x_cur, found: Found):
 def _unit(vector: np.ndarray) -> np.ndarray:
     """Return a vector divided by its length."""
     return vector / np.linalg.norm(vector)
+
+
+def _pair(blank: Extraction) -> two_view.Pair:
+    """Return the correspondences with their rays."""
+    x_cur, x_prev = blank.x_cur.astype(float), blank.x_prev.astype(float)
+    return two_view.Pair(to_rays(blank.K, x_cur), to_rays(blank.K, x_prev), x_prev,
+                         blank.sigma.astype(float), blank.K)
 
 
 def _too_few(pair) -> str:
