@@ -1,9 +1,8 @@
-"""How well moving obstacles are found, and how often none is there.
+"""How well the labels show what moves, and how often an annotated box meets an obstacle.
 
 A mover is *found* where at least half of its labelled points, or macroblocks, are called moving
 in at least half of the key frames in which it has at least MIN_MACROBLOCKS (the first pair does
-not count); it is *tracked* where a confirmed obstacle meets its box in at least half of those that
-come SETTLING after it became so large. A confirmed obstacle that meets no mover's box is false.
+not count).
 """
 
 from dataclasses import dataclass
@@ -16,11 +15,7 @@ from mv_slapse.records import Label
 import numpy as np
 
 MIN_MACROBLOCKS = 6
-SETTLING = 500_000_000  # [ns] time to confirm a mover
 SAME = 0.3  # smallest IoU of a box and the obstacle it stands for
-TOUCHING = 0.05  # an obstacle that meets every mover with less is false
-MOVING = 0.3  # [m/s] slower is no mover
-FAR_CONTACT = 20.0  # [s] later contacts are not compared
 SIZE = 16
 
 Table = dict[str, np.ndarray]
@@ -110,87 +105,7 @@ def point_figures(labels: LabelTable, points: PointLabels) -> dict[str, Any]:
             100 * stationary[0] / stationary[1] if stationary[1] else None}
 
 
-def truth_figures(obstacles: Table, labels: LabelTable, movers: Table,
-                  truth: LabelTable | None, scale: float) -> dict[str, Any]:
-    """Return the figures against a rendered street's truth; ``scale`` is m per unit."""
-    true_stamps = np.unique(movers['stamp'])
-    i, j = associate(labels.stamps, true_stamps)
-    matches = [_match(select(obstacles, obstacles['stamp'] == labels.stamps[k]),
-                      select(movers, movers['stamp'] == true_stamps[at]))
-               for k, at in zip(i, j, strict=True)]
-    # where no mover is visible the truth has no row, and whatever is confirmed is false
-    alone = ~np.isin(confirmed(obstacles)['stamp'], labels.stamps[i])
-    n_false = sum(match.n_false for match in matches) + int(alone.sum())
-    result = {**_tracked(matches), **_errors(matches, scale),
-              'false_obstacles_per_frame': n_false / max(len(labels.stamps), 1)}
-    if truth is not None:
-        result |= _block_figures(labels, truth, movers)
-    return result
-
-
-@dataclass(frozen=True)
-class _Match:
-    """Confirmed obstacles and movers of a key frame: pairs of rows, and obstacles left over."""
-
-    stamp: int
-    obstacles: Table
-    movers: Table
-    pairs: list[tuple[int, int]]
-    n_false: int
-
-
-def _match(obstacles: Table, movers: Table) -> _Match:
-    rows = confirmed(obstacles)
-    overlap = iou(boxes(rows), boxes(movers))
-    pairs = [(int(a), int(b)) for b in range(overlap.shape[1]) if len(overlap)
-             for a in [overlap[:, b].argmax()] if overlap[a, b] >= SAME]
-    n_false = int(np.sum(overlap.max(axis=1, initial=0) < TOUCHING))
-    return _Match(int(movers['stamp'][0]), rows, movers, pairs, n_false)
-
-
-def _tracked(matches: list[_Match]) -> dict[str, Any]:
-    hits: dict[int, list[bool]] = {}
-    first: dict[int, int] = {}
-    names: dict[int, list[float]] = {}
-    for match in matches:
-        of_mover = {b: a for a, b in match.pairs}
-        for b, id_ in enumerate(match.movers['id'].astype(int)):
-            speed = np.linalg.norm([match.movers[name][b] for name in ('vx', 'vy', 'vz')])
-            if match.movers['n_macroblocks'][b] < MIN_MACROBLOCKS or speed < MOVING:
-                first.pop(id_, None)
-                continue
-            if match.stamp - first.setdefault(id_, match.stamp) >= SETTLING:
-                hits.setdefault(id_, []).append(b in of_mover)
-            if b in of_mover:
-                names.setdefault(id_, []).append(match.obstacles['id'][of_mover[b]])
-    switches = sum(int(np.sum(np.diff(ids) != 0)) for ids in names.values())
-    return {'movers_tracked': sum(np.mean(hit) >= 0.5 for hit in hits.values()),
-            'movers_trackable': len(hits), 'identity_switches': switches}
-
-
-def _errors(matches: list[_Match], scale: float) -> dict[str, Any]:
-    rows = [_pair_errors(match, a, b, scale) for match in matches for a, b in match.pairs]
-    columns = np.array(rows, float).reshape(-1, 3).T
-    names = ('obstacle_position_error_m', 'obstacle_velocity_error_m_s',
-             'obstacle_ttc_error_percent')
-    return {name: float(np.nanmedian(values)) if np.isfinite(values).any() else None
-            for name, values in zip(names, columns, strict=True)}
-
-
-def _pair_errors(match: _Match, a: int, b: int, scale: float) -> tuple[float, float, float]:
-    def vector(table: Table, names: str, row: int) -> np.ndarray:
-        return np.array([table[name][row] for name in names.split()])
-
-    o, m = match.obstacles, match.movers
-    position = scale * vector(o, 'px py pz', a) - vector(m, 'px py pz', b)
-    velocity = scale * vector(o, 'vx vy vz', a) - vector(m, 'vx vy vz', b)
-    true_ttc, ttc = m['ttc'][b], o['ttc'][a]
-    near = np.isfinite(ttc) and 0 < true_ttc < FAR_CONTACT
-    return (float(np.linalg.norm(position)), float(np.linalg.norm(velocity)),
-            100 * abs(ttc - true_ttc) / true_ttc if near else np.nan)
-
-
-def _block_figures(labels: LabelTable, truth: LabelTable, movers: Table) -> dict[str, Any]:
+def block_figures(labels: LabelTable, truth: LabelTable, movers: Table) -> dict[str, Any]:
     """Return movers found by their macroblocks, and how often labels are confused."""
     labels, truth = on_common_blocks(labels, truth)
     i, j = associate(labels.stamps, truth.stamps)

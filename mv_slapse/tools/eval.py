@@ -5,9 +5,13 @@ import json
 from pathlib import Path
 from typing import Any
 
+from mv_slapse import fields
 from mv_slapse.errors import UnusableInput, UsageError
-from mv_slapse.evaluation import detection, planes, trajectory
+from mv_slapse.evaluation import annotation as annotations
+from mv_slapse.evaluation import detection, planes, tracking, trajectory
 from mv_slapse.evaluation.truth import LabelTable, read_arrays, read_labels, read_truth, Truth
+from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.tables import OBSTACLES_HEADER, PLANES_HEADER, read_table
 from mv_slapse.storage.tum import read_trajectory, Trajectory
 import numpy as np
@@ -31,7 +35,8 @@ class Results:
 
 def evaluate(out: str | Path, ground_truth: str | Path | None = None,
              labels: str | Path | None = None, boxes: str | Path | None = None,
-             stamp_offset: float = 0.0, fps: float | None = None) -> dict[str, Any]:
+             stamp_offset: float = 0.0, fps: float | None = None,
+             annotation: str | Path | None = None) -> dict[str, Any]:
     """Return all figures that the given truth allows, by the names that ``eval --json`` prints.
 
     Parameters
@@ -43,15 +48,16 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None,
         Taken off the run's stamps before they are compared [s].
     fps : float or None
         Rate of the frames that labels and boxes count [1/s]; as in the run's summary by default.
+    annotation : annotation.json of the last frame
 
     Raises
     ------
     UsageError, UnusableInput
         Where there is no truth, or a file cannot be read.
     """
-    if ground_truth is None and labels is None and boxes is None:
-        raise UsageError('there is nothing to compare with; give --ground-truth, --labels or '
-                         '--boxes')
+    if all(given is None for given in (ground_truth, labels, boxes, annotation)):
+        raise UsageError('there is nothing to compare with; give --ground-truth, --labels, '
+                         '--boxes or --annotation')
     results = read_results(out, stamp_offset)
     truth = read_truth(ground_truth) if ground_truth is not None else Truth()
     figures = _counts(results)
@@ -62,9 +68,29 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None,
         scale = 1.0 if results.is_metric else score.alignment.scale
     figures |= _plane_figures(results, truth, scale)
     if truth.movers is not None:
-        figures |= detection.truth_figures(results.obstacles, results.labels, truth.movers,
-                                           truth.labels, scale)
+        figures |= tracking.figures(
+            results.obstacles, results.labels.stamps, truth.movers, truth.trajectory, scale,
+            read_covariances(out, stamp_offset))
+        if truth.labels is not None:
+            figures |= detection.block_figures(results.labels, truth.labels, truth.movers)
+    if annotation is not None:
+        figures |= annotations.figures(
+            results.obstacles, int(results.labels.stamps.max(initial=0)), results.trajectory,
+            _read_annotation(annotation), results.is_metric)
     return figures | _label_figures(results, labels, boxes, fps)
+
+
+def read_covariances(out: str | Path, stamp_offset: float = 0.0) -> tracking.Covariances:
+    """Return the covariances (6, 6) of obstacles by stamp and id; the tables have none.
+
+    They are in the messages of the run, which a run that was interrupted may lack.
+    """
+    bag, shift = Path(out) / 'results.mcap', round(stamp_offset * 1e9)
+    if not bag.exists():
+        return {}
+    messages = (msg for _, msg in BagReader(bag).messages(['/obstacles']))
+    return {(o.stamp - shift, o.id): o.covariance for msg in messages
+            for o in fields.obstacles_from_message(msg, RosFrames())}
 
 
 def read_results(out: str | Path, stamp_offset: float = 0.0) -> Results:
@@ -128,6 +154,13 @@ def _label_figures(results: Results, labels: str | Path | None, boxes: str | Pat
         table = read_table(boxes, 'frame,x,y,width,height')
         figures |= detection.box_figures(results.obstacles, results.labels.stamps, table, fps)
     return figures
+
+
+def _read_annotation(path: str | Path) -> list[annotations.Vehicle]:
+    try:
+        return annotations.vehicles(json.loads(Path(path).read_text()))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UnusableInput(f'{path} is not an annotation of vehicles: {error!r}') from None
 
 
 def _shifted(table: dict[str, np.ndarray], shift: int) -> dict[str, np.ndarray]:

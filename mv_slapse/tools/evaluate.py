@@ -1,12 +1,13 @@
-"""``make evaluate``: every sequence in every encoding and rendered streets, in one table.
+"""``make evaluate``: every sequence in every encoding and rendered streets, in two tables.
 
 Sequences are read where they lie, ``../shared/data`` beside the checkout; rendered streets need
-nothing. The table names the commit and the commands, so that anybody can repeat a row.
+nothing. The page names the commit and the commands, so that anybody can repeat a row.
 """
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+import itertools
 from pathlib import Path
 import subprocess
 import sys
@@ -29,13 +30,30 @@ STREETS = 5
 STREET_FRAMES = 150
 ENCODINGS = {'mpeg2': Encoding('mpeg2video', b_frames=3, gop=12), 'h264_lowlatency': LOW_LATENCY,
              'h264_bframes': Encoding('h264', b_frames=3, gop=30)}
+TRAFFIC = {  # kind of street: which cars move, by turns from seed to seed
+    'street': (('slower', 'faster', 'oncoming'),),
+    'crossing': (('starting', 'crossing', 'oncoming'), ('stopping', 'crossing', 'faster')),
+    'quiet': ((),)}
 COLUMNS = {
     'poses': ('n_poses', '{:d}'), 'ATE [%]': ('ate_mean_percent', '{:.3f}'),
     'rigid [%]': ('ate_rigid_mean_percent', '{:.3f}'),
     'planes': ('n_planes', '{:d}'), 'depth [m]': ('plane_depth_error_m', '{:.2f}'),
     'normal [deg]': ('plane_normal_error_deg', '{:.1f}'),
-    'movers': ('movers_found', '{:d}'), 'of': ('movers_total', '{:d}'),
-    'false / frame': ('false_obstacles_per_frame', '{:.3f}'), 'CPU [ms]': ('cpu_ms', '{:.1f}')}
+    'called moving': ('movers_found', '{:d}'), 'of': ('movers_total', '{:d}'),
+    'CPU [ms]': ('cpu_ms', '{:.1f}')}
+OBSTACLE_COLUMNS = {
+    'in time': ('movers_confirmed_in_time', '{:d}'), 'of': ('movers_due', '{:d}'),
+    'position [%]': ('obstacle_position_error_percent', '{:.1f}'),
+    'velocity [m/s]': ('obstacle_velocity_error_m_s', '{:.2f}'),
+    'contact [%]': ('obstacle_ttc_error_percent', '{:.1f}'),
+    'relabelled': ('relabelled_in_time', '{:d}'), 'of ': ('relabels', '{:d}'),
+    'id switches': ('identity_switches', '{:d}'), 'NEES': ('obstacle_nees', '{:.1f}'),
+    'false / frame': ('false_obstacles_per_frame', '{:.3f}'),
+    'confirmed / frame': ('confirmed_obstacles_per_frame', '{:.3f}'),
+    'boxes met [%]': ('boxes_met_percent', '{:.0f}'),
+    'annotated, met': ('annotated_vehicles_met', '{:d}'),
+    'its position [%]': ('annotated_position_error_percent', '{:.1f}'),
+    'its velocity [m/s]': ('annotated_velocity_error_m_s', '{:.2f}')}
 
 
 @dataclass(frozen=True)
@@ -49,30 +67,43 @@ class Case:
     ground_truth: Path | None = None
     labels: Path | None = None
     boxes: Path | None = None
+    annotation: Path | None = None
 
 
 def sequences(data: Path) -> Iterator[Case]:
     """Yield every video below a folder that has a camera beside it."""
     for folder in sorted({path.parent for path in data.rglob('camera.yaml')}):
         camera = read_camera(folder / 'camera.yaml')
-        truth, labels, boxes = (folder / name if (folder / name).exists() else None for name in
-                                ('ground_truth.tum', 'motion_labels.npz', 'boxes.csv'))
+        truth = [folder / name if (folder / name).exists() else None for name in
+                 ('ground_truth.tum', 'motion_labels.npz', 'boxes.csv', 'annotation.json')]
         for video in sorted([*folder.glob('*.mp4'), *folder.glob('*.mpg')]):
             yield Case(f'{folder.relative_to(data)}/{video.name}', video, camera,
-                       HEIGHTS.get(folder.name, 0.0), truth, labels, boxes)
+                       HEIGHTS.get(folder.name, 0.0), *truth)
 
 
-def streets(folder: Path, count: int, n_frames: int) -> Iterator[Case]:
-    """Render streets of different seeds into a folder and yield them in every encoding."""
-    for seed in range(count):
-        street = Street(replace(StreetSettings(), seed=seed, n_frames=n_frames))
-        place = folder / f'street{seed}'
+def streets(folder: Path, count: int, n_frames: int, only: str = '') -> Iterator[Case]:
+    """Render streets of different seeds into a folder and yield them in every encoding.
+
+    ``only``: those whose row's name holds this text.
+    """
+    for kind, seed in itertools.product(TRAFFIC, range(count)):
+        names = {f'{kind} {seed}/{codec}.{_suffix(encoding)}': encoding
+                 for codec, encoding in ENCODINGS.items()}
+        names = {name: encoding for name, encoding in names.items() if only in name}
+        if not names:
+            continue
+        movers = TRAFFIC[kind][seed % len(TRAFFIC[kind])]
+        street = Street(StreetSettings(seed=seed, n_frames=n_frames, movers=movers))
+        place = folder / f'{kind} {seed}'
         images = list(film(street, place / 'truth'))
-        for name, encoding in ENCODINGS.items():
-            video = place / f'{name}.{"mpg" if encoding.codec == "mpeg2video" else "mp4"}'
-            write_video(video, images, street.settings.fps, encoding)
-            yield Case(f'street {seed}/{video.name}', video, street.camera,
-                       street.settings.camera_height, place / 'truth')
+        for name, encoding in names.items():
+            write_video(folder / name, images, street.settings.fps, encoding)
+            yield Case(name, folder / name, street.camera, street.settings.camera_height,
+                       place / 'truth')
+
+
+def _suffix(encoding: Encoding) -> str:
+    return 'mpg' if encoding.codec == 'mpeg2video' else 'mp4'
 
 
 def measure(case: Case, output: Path) -> dict[str, Any]:
@@ -81,8 +112,9 @@ def measure(case: Case, output: Path) -> dict[str, Any]:
     try:
         summary = run(case.video, case.camera, settings, output)
         figures: dict[str, Any] = {'n_poses': summary.poses}
-        if case.ground_truth or case.labels or case.boxes:
-            figures |= evaluate(output, case.ground_truth, case.labels, case.boxes)
+        if case.ground_truth or case.labels or case.boxes or case.annotation:
+            figures |= evaluate(output, case.ground_truth, case.labels, case.boxes,
+                                annotation=case.annotation)
     except MvSlapseError as error:
         return {'error': str(error)}
     if summary.scale_status != 'metric':
@@ -90,18 +122,19 @@ def measure(case: Case, output: Path) -> dict[str, Any]:
     return figures | {'cpu_ms': 1e3 * summary.cpu_seconds['total'] / max(summary.frames, 1)}
 
 
-def row(name: str, figures: dict[str, Any]) -> str:
-    """Return one row of the table."""
+def row(name: str, figures: dict[str, Any], columns: dict[str, tuple[str, str]] = COLUMNS) -> str:
+    """Return one row of a table."""
     if 'error' in figures:
-        return f'| {name} | {figures["error"]} |' + ' |' * (len(COLUMNS) - 1)
+        return f'| {name} | {figures["error"]} |' + ' |' * (len(columns) - 1)
     cells = [pattern.format(figures[key]) if figures.get(key) is not None else ''
-             for key, pattern in COLUMNS.values()]
+             for key, pattern in columns.values()]
     return f'| {name} | ' + ' | '.join(cells) + ' |'
 
 
-def page(rows: list[str], commit: str) -> str:
-    """Return the whole page."""
-    head = f'| sequence | {" | ".join(COLUMNS)} |\n|' + ' --- |' * (len(COLUMNS) + 1)
+def page(measured: dict[str, dict[str, Any]], commit: str) -> str:
+    """Return the whole page, given the figures of each row."""
+    seen = {name: figures for name, figures in measured.items()
+            if any(figures.get(key) is not None for key, _ in OBSTACLE_COLUMNS.values())}
     return (
         '# Results\n\n'
         f'Made by `make evaluate` at commit {commit}, default settings, '
@@ -110,7 +143,21 @@ def page(rows: list[str], commit: str) -> str:
         '`mv_slapse eval OUT --ground-truth …`.\n'
         'ATE: mean position error after similarity alignment, rigid: after rigid alignment, in '
         'per cent of the way; CPU: of all stages, for each frame of the video.\n\n'
-        f'{head}\n' + '\n'.join(rows) + '\n')
+        f'{_table(measured, COLUMNS)}\n'
+        '## Moving obstacles\n\n'
+        'In time: passages of movers of at least 6 macroblocks met by a confirmed obstacle '
+        'within 0.5 s. Position (of the range), velocity and time to contact: median errors. '
+        'Relabelled: cars that became an obstacle within 1 s of starting, or ceased to be one '
+        'within 1 s of stopping. NEES: of position and velocity, 6 if the covariances are '
+        'right.\nFalse, confirmed: rows of confirmed obstacles that meet no mover, and all, for '
+        'each key frame. Boxes met: key frames in which the annotated box meets an obstacle.\n\n'
+        f'{_table(seen, OBSTACLE_COLUMNS)}')
+
+
+def _table(measured: dict[str, dict[str, Any]], columns: dict[str, tuple[str, str]]) -> str:
+    head = f'| sequence | {" | ".join(columns)} |\n|' + ' --- |' * (len(columns) + 1)
+    rows = [row(name, figures, columns) for name, figures in measured.items()]
+    return '\n'.join([head, *rows]) + '\n'
 
 
 def commit_of(folder: Path) -> str:
@@ -124,21 +171,22 @@ def main(arguments: list[str] | None = None) -> int:
     """Measure everything and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--data', type=Path, default=DATA, help='folder of the sequences')
-    parser.add_argument('--only', default='', help='only rows whose name holds this text')
+    parser.add_argument('--only', default='', help='only rows whose name holds this')
     parser.add_argument('--streets', type=int, default=STREETS, help='rendered streets')
     parser.add_argument('--frames', type=int, default=STREET_FRAMES, help='pictures of a street')
     parser.add_argument('-o', '--output', type=Path, default=Path('docs/results.md'))
     options = parser.parse_args(arguments)
-    rows = []
+    measured = {}
     with tempfile.TemporaryDirectory() as folder:
         found = sequences(options.data) if options.data.is_dir() else iter(())
-        rendered = streets(Path(folder), options.streets, options.frames)
-        for case in (*found, *rendered):
+        rendered = streets(Path(folder), options.streets, options.frames, options.only)
+        for case in itertools.chain(found, rendered):
             if options.only in case.name:
-                rows.append(row(case.name, measure(case, Path(folder) / 'out')))
-                print(rows[-1], file=sys.stderr, flush=True)
+                figures = measured[case.name] = measure(case, Path(folder) / 'out')
+                print(row(case.name, figures) + row('', figures, OBSTACLE_COLUMNS)[3:],
+                      file=sys.stderr, flush=True)
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(page(rows, commit_of(Path.cwd())))
+    options.output.write_text(page(measured, commit_of(Path.cwd())))
     return 0
 
 

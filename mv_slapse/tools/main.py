@@ -79,6 +79,8 @@ def _add_eval(commands: Any) -> argparse.ArgumentParser:
                          help='trajectory (TUM), or folder as the simulator writes it')
     command.add_argument('--labels', metavar='NPZ', help='labelled points (motion_labels.npz)')
     command.add_argument('--boxes', metavar='CSV', help='boxes of one obstacle (boxes.csv)')
+    command.add_argument('--annotation', metavar='JSON',
+                         help='vehicles in the last frame (annotation.json)')
     command.add_argument('--fps', type=float, metavar='HZ',
                          help='rate of the frames in --labels and --boxes')
     command.add_argument('--stamp-offset', type=float, default=0.0, metavar='S',
@@ -156,7 +158,7 @@ def _run(args: argparse.Namespace) -> int:
 def _eval(args: argparse.Namespace) -> int:
     from mv_slapse.tools import eval as evaluation
     figures = evaluation.evaluate(args.results, args.ground_truth, args.labels, args.boxes,
-                                  args.stamp_offset, args.fps)
+                                  args.stamp_offset, args.fps, args.annotation)
     _print(args, figures, evaluation.text(figures))
     return 0
 

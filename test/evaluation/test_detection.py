@@ -108,67 +108,25 @@ def test_points_outside_the_picture_or_not_visible_are_left_out():
     assert figures['stationary_called_moving_percent'] == 0
 
 
-def truth_figures(obstacles, label=None, movers=None, true=None):
-    movers = movers_of([(k, MOVER, 32, 16) for k in range(N)]) if movers is None else movers
-    labels = label_table(grid(ON_MOVER) if label is None else label)
+def block_figures(label, true=None):
     if true is None:
         true = label_table(grid(ON_MOVER), np.where(grid(ON_MOVER) == 1, MOVER, 1))
-    return detection.truth_figures(obstacles, labels, movers, true, 1.0)
+    return detection.block_figures(label_table(label), true,
+                                   movers_of([(k, MOVER, 32, 16) for k in range(N)]))
 
 
-def test_a_rendered_mover_that_is_seen_throughout_is_found_and_tracked():
-    figures = truth_figures(obstacles_of([(k, 5, 40, 16) for k in range(4, N)]))
-    expected = {'movers_found': 1, 'movers_total': 1, 'movers_tracked': 1, 'movers_trackable': 1,
-                'identity_switches': 0, 'false_obstacles_per_frame': 0,
-                'stationary_called_moving_percent': 0, 'obstacle_position_error_m': 0,
-                'obstacle_velocity_error_m_s': 0, 'obstacle_ttc_error_percent': 0}
-    assert {name: figures[name] for name in expected} == expected
-
-
-def test_obstacles_away_from_movers_are_false():
-    rows = [(k, 5, 40, 16) for k in range(4, N)] + [(k, 6, 500, 16) for k in range(3)]
-    assert truth_figures(obstacles_of(rows))['false_obstacles_per_frame'] == 3 / N
-
-
-def test_obstacles_are_false_where_no_mover_is_visible():
-    movers = movers_of([(k, MOVER, 32, 16) for k in range(6)])
-    rows = [(k, 5, 32, 16) for k in range(N)]
-    figures = truth_figures(obstacles_of(rows), movers=movers)
-    assert figures['false_obstacles_per_frame'] == 6 / N
-
-
-def test_a_change_of_identity_is_counted():
-    rows = [(k, 5 if k < 6 else 7, 32, 16) for k in range(N)]
-    assert truth_figures(obstacles_of(rows))['identity_switches'] == 1
-
-
-def test_a_mover_without_labels_or_track_is_missed():
-    figures = truth_figures(obstacles_of([]), label=grid())
-    assert (figures['movers_found'], figures['movers_total']) == (0, 1)
-    assert (figures['movers_tracked'], figures['movers_trackable']) == (0, 1)
-
-
-def test_a_car_that_stands_is_no_mover_to_track():
-    movers = movers_of([(k, MOVER, 32, 16) for k in range(N)])
-    movers['vz'] = np.zeros(N)
-    assert truth_figures(obstacles_of([]), movers=movers)['movers_trackable'] == 0
-
-
-def test_errors_of_obstacles_are_those_of_their_movers():
-    table = obstacles_of([(k, 5, 32, 16) for k in range(N)])
-    table['px'] += 3
-    table['vy'] -= 4
-    table['ttc'] *= 1.1
-    figures = truth_figures(table)
-    assert figures['obstacle_position_error_m'] == pytest.approx(3)
-    assert figures['obstacle_velocity_error_m_s'] == pytest.approx(4)
-    assert figures['obstacle_ttc_error_percent'] == pytest.approx(10)
+def test_a_rendered_mover_is_found_by_its_macroblocks():
+    found = block_figures(grid(ON_MOVER))
+    assert (found['movers_found'], found['movers_total']) == (1, 1)
+    assert found['stationary_called_moving_percent'] == 0
+    missed = block_figures(grid())
+    assert (missed['movers_found'], missed['movers_missed']) == (0, [MOVER])
 
 
 def test_confused_labels_are_counted_by_truth_and_call():
     label = grid(ON_MOVER[:6])
     label[4, :5] = Label.MOVING
     label[0, 0] = Label.UNKNOWN
-    table = truth_figures(obstacles_of([]), label=label)['label_confusion']
+    table = block_figures(label)['label_confusion']
     n = (N - 1) * np.array([[1, 36, 5, 0], [0, 2, 6, 0], [0, 0, 0, 0]])
     assert table == n.tolist()

@@ -58,6 +58,27 @@ def test_labelled_points_and_boxes_are_scored(clip, tmp_path):
     assert figures['stationary_called_moving_percent'] is not None
 
 
+def test_covariances_of_obstacles_come_from_the_messages(clip, out):
+    table = tool.read_results(out).obstacles
+    found = tool.read_covariances(out)
+    assert set(found) == set(zip(table['stamp'].tolist(), table['id'].astype(int).tolist(),
+                                 strict=True))
+    assert all(P.shape == (6, 6) and np.all(np.linalg.eigvalsh(P) > 0) for P in found.values())
+    (out / 'results.mcap').unlink()
+    assert tool.read_covariances(out) == {}
+
+
+def test_an_annotation_is_scored_against_the_last_key_frame(clip, tmp_path):
+    path = tmp_path / 'annotation.json'
+    path.write_text('[{"velocity": [0, 0], "position": [9, 0], '
+                    '"bbox": {"top": 1, "left": 1, "bottom": 3, "right": 3}}]')
+    figures = tool.evaluate(clip.out, annotation=path)
+    assert (figures['annotated_vehicles'], figures['annotated_vehicles_met']) == (1, 0)
+    path.write_text('[{}]')
+    with pytest.raises(UnusableInput, match='annotation of vehicles'):
+        tool.evaluate(clip.out, annotation=path)
+
+
 def test_without_any_truth_there_is_nothing_to_do(clip):
     with pytest.raises(UsageError, match='--ground-truth'):
         tool.evaluate(clip.out)
