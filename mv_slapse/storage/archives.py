@@ -6,6 +6,7 @@ from typing import Any
 
 from mv_slapse.records import Correspondences, Extraction, MapPlane, ScaleStatus, SceneEstimate
 from mv_slapse.storage import labels
+from mv_slapse.storage.silhouettes import Silhouettes
 import numpy as np
 
 SCHEMA_VERSION = 1
@@ -19,6 +20,7 @@ class LabelArchive:
         self._size = (0, 0)
         self._stamps: list[int] = []
         self._grids: list[labels.LabelGrid] = []
+        self._movers = Silhouettes()
 
     def add(self, correspondences: Correspondences, extraction: Extraction):
         """Take the labels of a key frame; one of another picture size is left out."""
@@ -27,7 +29,8 @@ class LabelArchive:
             self._size = size
         if size == self._size:
             self._stamps.append(extraction.stamp)
-            self._grids.append(labels.vote(correspondences, extraction))
+            grid = labels.vote(correspondences, extraction)
+            self._grids.append(self._movers.fill(grid, correspondences, extraction))
 
     def save(self, path: Path):
         """Write ``stamp`` [s], ``x``, ``y`` [px], ``label`` and ``plane``."""
