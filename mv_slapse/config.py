@@ -132,8 +132,10 @@ class SceneSettings(Checked):
         0.0, 'm', 'height of a camera that is rigidly mounted on a ground vehicle; 0: unknown, '
         'the scale stays free', 0.0)
     camera_height_sigma: float = setting(
-        0.02, '-', 'standard deviation of that height from key frame to key frame, as a share of '
-        'it: suspension and road', 1e-4, 1.0)
+        0.02, '-', 'standard deviation of that height above the road that is seen, as a share of '
+        'it: suspension, crown and bumps', 1e-4, 1.0)
+    camera_height_time: float = setting(
+        0.3, 's', 'for which that height stays wrong alike', 0.0)
     mounting_sigma: float = setting(
         0.01, 'rad', 'standard deviation of the ground normal in a mounted camera from key frame '
         'to key frame: pitch and roll on the suspension', 1e-4, 1.0)
@@ -146,7 +148,7 @@ class SceneSettings(Checked):
     angular_acceleration: float = setting(
         1.0, 'rad/s^1.5', 'random walk of the angular velocity', 0.0)
     ground_slope: float = setting(
-        0.01, 'rad/m^0.5', 'random walk of the ground normal along the way', 0.0)
+        0.005, 'rad/m^0.5', 'random walk of the ground normal along the way: 3 deg in 100 m', 0.0)
     relief: float = setting(
         0.03, '-', 'depth of a surface about its plane, as a share of depth', 0.0, 1.0)
     depth_bias: float = setting(

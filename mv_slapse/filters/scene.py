@@ -136,7 +136,7 @@ class SceneFilter:
         self._state = scene_update.correspondences(
             self._state, self._linearisation(extraction, baseline), pair, index, ids, settings)
         ratio_known = self._carry_scale(extraction)
-        self._fix_scale(ground, first)
+        self._fix_scale(extraction, ground, first)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
         if first or known or ratio_known:
@@ -216,13 +216,18 @@ class SceneFilter:
             self._state, extraction.baseline_ratio, sampling, settings.ratio_sigma)
         return True
 
-    def _fix_scale(self, ground: int | None, first: bool):
-        """Observe the camera's height above the ground, or settle the gauge."""
+    def _fix_scale(self, extraction: Extraction, ground: int | None, first: bool):
+        """Observe the camera's height above the ground, or settle the gauge.
+
+        The height's error lasts over key frames: as white noise it has to be larger.
+        """
         settings = self._settings
         if settings.camera_height and ground is not None:
-            height = settings.camera_height
+            height, dt = settings.camera_height, (
+                extraction.stamp - extraction.previous_stamp) * 1e-9
+            lasting = np.sqrt(1 + 2 * settings.camera_height_time / dt)
             self._state, _ = scene_update.camera_height(
-                self._state, ground, height, settings.camera_height_sigma * height)
+                self._state, ground, height, settings.camera_height_sigma * height * lasting)
             self._state, _ = scene_update.mounting(self._state, ground, settings.mounting_sigma)
             self._state, _ = scene_update.level_course(self._state, settings.course_sigma)
         elif first:

@@ -86,6 +86,15 @@ def inverse_depth(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
     return rho, np.abs(1 - rho * t_cur_from_prev[2]) / length
 
 
+def reach(rays_cur, focal, t_cur_from_prev) -> np.ndarray:
+    """Parallax of points at distance 1 from camera k-1 for each ray (N, 3) of camera k, (N,) [px].
+
+    From x - y = rho_prev (t_xy - x t_z): free of the noise of the match, as x is exact.
+    """
+    g = (t_cur_from_prev[:2] - rays_cur[:, :2] * t_cur_from_prev[2]) * focal
+    return np.maximum(np.hypot(g[:, 0], g[:, 1]), 1e-9)
+
+
 def parallax(rays_cur, rays_prev, focal, R_cur_from_prev):
     """Pixel displacement x_cur - x'_prev (N, 2) that is left after rotation is removed, (6)."""
     return (rays_cur[:, :2] - derotate(rays_prev, R_cur_from_prev)[:, :2]) * focal

@@ -202,10 +202,10 @@ class PlaneExtractor:
         memory = self._memory
         if memory.depths is None or memory.stamp != blank.previous_stamp:
             return scale.BaselineRatio()
-        usable = _with_depth(evidence)
-        return scale.baseline_ratio(memory.depths, blank.x_prev, pair.rays_cur, evidence.rho,
-                                    evidence.sigma_rho, usable, fit.R_cur_from_prev,
-                                    fit.t_cur_from_prev)
+        now = scale.from_previous(
+            (blank.width, blank.height), blank.x_prev, pair.rays_cur, evidence.rho,
+            _noise(pair, fit), _with_depth(evidence), fit.R_cur_from_prev, fit.t_cur_from_prev)
+        return scale.baseline_ratio(memory.depths, now, self._steady(blank))
 
     def _ground_prior(self, blank, fit: MotionFit, ratio) -> GroundPrior:
         """Predict the ground; with unknown baseline ratio at an unchanged speed."""
@@ -218,9 +218,13 @@ class PlaneExtractor:
         memory = self._memory
         if np.isfinite(ratio.sigma) or memory.previous_stamp is None:
             return ratio.log, ratio.sigma
-        log = np.log((blank.stamp - blank.previous_stamp)
-                     / (memory.stamp - memory.previous_stamp))
-        return log, 0.15  # 1.3 m/s at 30 km/h: a hard brake over one dead segment
+        return self._steady(blank), 0.15  # 1.3 m/s at 30 km/h: a hard brake over one dead segment
+
+    def _steady(self, blank) -> float:
+        """Return the logarithm of this baseline over the last one at an unchanged speed."""
+        memory = self._memory
+        return float(np.log((blank.stamp - blank.previous_stamp)
+                            / (memory.stamp - memory.previous_stamp)))
 
     def _refined(self, pair, found: Found) -> Found:
         """Re-estimate motion and planes together, (10), and judge the blocks again."""
@@ -245,7 +249,7 @@ class PlaneExtractor:
         """Write labels and planes down and keep what the next pair needs."""
         label, plane_id = _labels(found)
         observations = (*_observations(blank.x_cur, found), *found.moving.planes)
-        self._remember(blank, found, observations, plane_id, noise, prior)
+        self._remember(blank, pair, found, observations, plane_id, noise, prior)
         fit = found.fit
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev,
                               fit.covariance, bool(fit.t_cur_from_prev[2] < 0))
@@ -260,7 +264,7 @@ class PlaneExtractor:
         self._memory = replace(self._memory, next_id=next(ids))
         return replace(found, planes=planes)
 
-    def _remember(self, blank, found: Found, observations, plane_id, noise, prior):
+    def _remember(self, blank, pair, found: Found, observations, plane_id, noise, prior):
         """Keep motion, labels, ground and depths for the next pair."""
         floor = next((plane for plane in observations if plane.is_ground), None)
         track = self._memory.ground
@@ -275,8 +279,8 @@ class PlaneExtractor:
         evidence, size = found.evidence, (blank.width, blank.height)
         self._memory = Memory(
             blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
-            scale.depth_map(*size, blank.x_cur, evidence.rho, evidence.sigma_rho,
-                            _with_depth(evidence)),
+            scale.depth_map(*size, blank.x_cur, evidence.rho, _noise(pair, found.fit),
+                            found.fit.t_cur_from_prev[2], _with_depth(evidence)),
             self._memory.planes)
 
 
@@ -331,6 +335,11 @@ def _with_depth(evidence) -> np.ndarray:
     """Return the mask of stationary blocks whose parallax makes a depth."""
     return (evidence.epipolar_inlier & ~evidence.backward
             & ~evidence.at_infinity & (evidence.rho > 0))
+
+
+def _noise(pair: two_view.Pair, fit: MotionFit) -> np.ndarray:
+    """Return the standard deviation (N,) of the inverse depth of points at infinity."""
+    return pair.sigma / epipolar.reach(pair.rays_cur, pair.focal, fit.t_cur_from_prev)
 
 
 def _disagreement(evidence) -> str:

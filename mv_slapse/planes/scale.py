@@ -13,7 +13,10 @@ import numpy as np
 STEPS = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)])  # macroblocks around one
 SAME_SURFACE = 0.25  # share of inverse depth by which blocks of one surface differ next door
 MIN_NEIGHBOURS = 5  # of nine: three are needed for a plane
-MAX_SPREAD = 0.3  # a block's depth must be known this well, as a share of it
+MAX_SPREAD = 0.2  # a depth's error by which two pairs may differ, as a share of it: with more, the
+# least parallax of a depth would cut off the low ones only
+RELIEF = 0.03  # depth of a surface about its plane, as a share of depth
+CHANGE = 0.3  # common change of log(speed) from pair to pair; a start from rest has more
 MIN_BLOCKS = 20  # fewer cannot tell the mode of the ratios from its outliers
 
 
@@ -27,14 +30,19 @@ class DepthMap:
         Index of the block in each macroblock, -1 for none; a margin of one surrounds it.
     x : (N, 2) array
         Block centres [px].
-    rho, sigma : (N,) arrays
-        Inverse depths and their standard deviations [1/baseline].
+    rho : (N,) array
+        Inverse depths [1/baseline].
+    noise : (N,) array
+        Standard deviation that a point at infinity would have there [1/baseline].
+    approach : float
+        t_z of the pair [baseline]: it makes rho's standard deviation noise (1 - rho t_z)^2.
     """
 
     grid: np.ndarray
     x: np.ndarray
     rho: np.ndarray
-    sigma: np.ndarray
+    noise: np.ndarray
+    approach: float
 
     def at(self, x: np.ndarray):
         """Interpolate at pixels (N, 2): rho (N,), sigma (N,), NaN where it cannot be told.
@@ -45,11 +53,13 @@ class DepthMap:
         """
         row, column = lattice.cells(x, np.subtract(self.grid.shape, 2), lattice.MACROBLOCK)
         near = self.grid[row[:, None] + 1 + STEPS[:, 0], column[:, None] + 1 + STEPS[:, 1]]
-        rho, sigma = self.rho[near], self.sigma[near]
-        middle = rho[:, [4]]
+        rho, middle = self.rho[near], self.rho[near[:, [4]]]
+        sigma = self.sigma(near, rho)
         same = (near >= 0) & (near[:, [4]] >= 0) & (
             np.abs(rho - middle) < SAME_SURFACE * middle + 3 * sigma)
-        weight = np.where(same, 1 / np.maximum(sigma, 1e-12)**2, 0.0)
+        mean = np.sum(rho * same, axis=1, keepdims=True) / np.maximum(
+            same.sum(axis=1, keepdims=True), 1)
+        weight = np.where(same, self.sigma(near, mean)**-2, 0.0)
         offset = (self.x[near] - x[:, None]) / lattice.MACROBLOCK
         M = np.concatenate([np.ones((*near.shape, 1)), offset], axis=2)
         A = np.einsum('nki,nk,nkj->nij', M, weight, M)
@@ -64,6 +74,15 @@ class DepthMap:
         error[known] = np.sqrt(inverse[:, 0, 0])
         return value, error
 
+    def sigma(self, near: np.ndarray, rho: np.ndarray) -> np.ndarray:
+        """Return the standard deviation of the blocks ``near`` where they have about ``rho``.
+
+        A block's own measured ``rho`` must not set its weight in a mean: what errs low, or high,
+        would count more.
+        """
+        sigma = self.noise[near] * np.square(1 - rho * self.approach)
+        return np.maximum(np.hypot(sigma, RELIEF * rho), 1e-12)
+
 
 @dataclass(frozen=True)
 class BaselineRatio:
@@ -73,69 +92,94 @@ class BaselineRatio:
     sigma: float = float('inf')
 
 
-def depth_map(width, height, x_cur, rho, sigma, usable) -> DepthMap:
-    """Note the inverse depths of the usable blocks (N,) where the next pair will look for them."""
+def depth_map(width, height, x, rho, noise, approach, usable) -> DepthMap:
+    """Note the inverse depths of the usable blocks (N,) where another pair will look for them."""
     shape = lattice.shape_of(width, height, lattice.MACROBLOCK)
     grid = np.full(np.add(shape, 2), -1)
     index = np.flatnonzero(usable)
-    row, column = lattice.cells(x_cur[index], shape, lattice.MACROBLOCK)
+    row, column = lattice.cells(x[index], shape, lattice.MACROBLOCK)
     grid[row + 1, column + 1] = index
-    return DepthMap(grid, x_cur.astype(float), rho, sigma)
+    return DepthMap(grid, x.astype(float), rho, noise, approach)
 
 
-def baseline_ratio(before: DepthMap, x_prev, rays_cur, rho, sigma, usable, R, t) -> BaselineRatio:
-    """Compare the depths of blocks with those at the places they come from.
+def baseline_ratio(before: DepthMap, now: DepthMap, expected: float = 0.0) -> BaselineRatio:
+    """Compare the depths that two pairs see from the key frame between them.
+
+    Blocks of the later pair are compared with the earlier one's depths around them, and the other
+    way round. Either alone errs one way by 0.1 to 0.4 % a pair as measured, for the logarithm of
+    a noisy depth, and the choice of blocks that have one, tell on the single blocks only; half the
+    difference of the two does not.
 
     Parameters
     ----------
-    before : DepthMap
-        Of key frame k-1, in units of the baseline of (k-2, k-1).
-    x_prev : (N, 2) array
-        [px].
-    rays_cur, rho, sigma, usable : (N, 3), (N,), (N,), (N,) arrays
-        Of the pair (k-1, k); ``usable``: stationary, with parallax.
-    R, t : (3, 3), (3,) arrays
-        X_cur = R X_prev + t, |t| = 1.
+    before, now : DepthMap
+        Of key frame k-1, from the pairs (k-2, k-1) and (k-1, k), each in its own baseline.
+    expected : float
+        The result at an unchanged speed.
 
     Returns
     -------
     ratio : BaselineRatio
-        Robust mean over blocks of log(Z_before / Z_now), both at camera k-1.
+        Robust mean over blocks of log(Z_before / Z_now).
     """
-    index = np.flatnonzero(usable & (rho > 0))
-    old, sigma_old = before.at(x_prev[index])
-    z_now = (rays_cur[index] / rho[index, None] - t) @ R[:, 2]
-    good = np.isfinite(old) & (z_now > 0)
-    good[good] = old[good] > 0
+    ahead, back = _excess(now, before, expected), _excess(before, now, -expected)
+    error = np.hypot(max(ahead.sigma, back.sigma), 0.5 * (ahead.log + back.log))
+    return BaselineRatio(0.5 * (ahead.log - back.log), float(error))
+
+
+def from_previous(size, x_prev, rays_cur, rho, noise, usable, R, t) -> DepthMap:
+    """Return the depths of a pair (k-1, k) as its camera k-1 sees them.
+
+    Parameters
+    ----------
+    size : (width, height)
+        [px].
+    x_prev, rays_cur, rho, usable : (N, 2), (N, 3), (N,), (N,) arrays
+        Matches [px], and what camera k sees; ``usable``: stationary, with parallax.
+    noise : (N,) array
+        As in DepthMap. Seen from camera k-1 inverse depth is the parallax over that of a point at
+        distance 1, which makes it the error at every depth.
+    R, t : (3, 3), (3,) arrays
+        X_cur = R X_prev + t, |t| = 1.
+    """
+    usable = usable & (rho > 0)
+    z = (rays_cur / np.where(usable, rho, 1.0)[:, None] - t) @ R[:, 2]
+    usable &= z > 0
+    return depth_map(*size, x_prev, 1 / np.where(usable, z, 1.0), noise, 0.0, usable)
+
+
+def _excess(single: DepthMap, smooth: DepthMap, expected: float) -> BaselineRatio:
+    """Robust mean of log(rho / rho around it in the other map) over blocks.
+
+    Errors are shares of the smooth depth, which nine blocks make sure: with the single one a
+    block that errs low would weigh more.
+    """
+    index = single.grid[single.grid >= 0]
+    around, error = smooth.at(single.x[index])
+    good = np.isfinite(around)
+    good[good] = (around[good] > 0) & (single.rho[index[good]] > 0)
     if good.sum() < MIN_BLOCKS:
         return BaselineRatio()
-    index, now = index[good], 1 / z_now[good]
-    return _compare(old[good], sigma_old[good], now,
-                    sigma[index] * now**2 / np.square(rho[index]))
-
-
-def _compare(old, sigma_old, now, sigma_now) -> BaselineRatio:
-    """Robust mean of log(now / old) over blocks with inverse depths in either baseline.
-
-    Errors are shares of the older depth, which nine blocks make sure: with the newer one a block
-    that errs high would weigh more. The mean of a logarithm lies half a variance low.
-    """
-    value = np.log(now / old)
-    factor = np.exp(np.median(value))
-    share_old, share_now = sigma_old / old, sigma_now / (factor * old)
-    value += 0.5 * (np.square(share_now) - np.square(share_old))
-    spread = np.hypot(share_old, share_now)
+    index, around = index[good], around[good]
+    value = np.log(single.rho[index] / around)
+    likely = np.exp(np.median(value)) * around
+    spread = np.hypot(single.sigma(index, likely) / likely, error[good] / around)
     sure = spread < MAX_SPREAD
-    return robust_mean(value[sure], spread[sure])
+    return robust_mean(value[sure], spread[sure], expected)
 
 
-def robust_mean(value: np.ndarray, sigma: np.ndarray) -> BaselineRatio:
-    """Return the mode of values with errors sigma, refined; far values count nothing."""
+def robust_mean(value: np.ndarray, sigma: np.ndarray, expected: float = 0.0) -> BaselineRatio:
+    """Return the mode of values with errors sigma, refined; far values count nothing.
+
+    Of two modes the one nearer to ``expected`` may be the smaller: vectors to another reference
+    picture than was meant make a mode of their own.
+    """
     if len(value) < MIN_BLOCKS:
         return BaselineRatio()
     width = 3 * np.maximum(sigma, 0.02)
     candidates = np.quantile(value, np.linspace(0.05, 0.95, 61))
     support = (1 / (1 + np.square((value - candidates[:, None]) / width)) / width).sum(axis=1)
+    support /= 1 + np.square((candidates - expected) / CHANGE)
     mean = candidates[np.argmax(support)]
     for _ in range(8):
         weight = 1 / np.square(1 + np.square((value - mean) / width)) / width**2

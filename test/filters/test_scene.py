@@ -184,7 +184,7 @@ def test_it_drives_on_after_standing():
     for k in range(21, 26):
         filter_.step(canyon.blank(k, MotionStatus.STANDSTILL, ''))
     after = driven(canyon, 45, filter_=filter_, first=26)
-    assert max(position_errors(canyon, after, 26)) < 0.1
+    assert max(position_errors(canyon, after, 26)) < 0.15  # 1 % of the way
     assert after[-1].velocity_world @ canyon.pose(45)[0][:, 2] == pytest.approx(6.0, abs=0.3)
 
 
