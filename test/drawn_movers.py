@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from mv_slapse.geometry.moving_plane import COVERED
 from mv_slapse.planes.moving import fit_moving_plane
 from mv_slapse.records import (
     CameraMotion,
@@ -79,8 +80,11 @@ class Drive:
         R1, t1 = self.pose(now)
         return R1.T @ R0, R1.T @ (t0 - t1)
 
-    def blocks(self, mover, before, now):
-        """Return centres (N, 2) of the blocks on a mover, exact matches (N, 2) and Z (N,)."""
+    def blocks(self, mover, before, now, covered=COVERED):
+        """Return centres (N, 2) of the blocks on a mover, exact matches (N, 2) and Z (N,).
+
+        A block has the mover's vector from a share ``covered`` on, not only where half is.
+        """
         R, t = self.pose(now)
         n, d = mover.plane(now)
         rays = np.c_[(GRID - K[:2, 2]) / np.diag(K)[:2], np.ones(len(GRID))] @ R.T
@@ -88,8 +92,9 @@ class Drive:
         X = t + depth[:, None] * rays
         along = np.array([np.cos(mover.yaw), 0, np.sin(mover.yaw)])
         at = X - mover.centre(now)
-        on = ((depth > 1) & (np.abs(at @ along) < 0.5 * mover.size[0])
-              & (np.abs(at[:, 1]) < 0.5 * mover.size[1]))
+        slack = 16 * (0.5 - covered) * depth / K[0, 0]
+        on = ((depth > 1) & (np.abs(at @ along) < 0.5 * mover.size[0] + slack)
+              & (np.abs(at[:, 1]) < 0.5 * mover.size[1] + slack))
         R0, t0 = self.pose(before)
         back = X[on] - (mover.centre(now) - mover.centre(before))
         x = (back - t0) @ R0 @ K.T

@@ -3,14 +3,16 @@
 Pure functions of the evidence; the filters act on what they return.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import ekf
 
 STILL_CONFIDENCE = 0.99  # "it stands still" is given up beyond this
-CONSISTENT_NIS = 2.5  # mean normalised innovation above which evidence contradicts itself
+# Mean normalised innovation above which evidence contradicts itself: of cars on rendered streets
+# 93 % are below when they are confirmed, of regions of wrong vectors half are above.
+CONSISTENT_NIS = 1.5
 STILL_SHARE = 0.6  # of an obstacle's blocks that the labels call stationary
 
 
@@ -83,20 +85,6 @@ def melts_into_scene(speed: float, sigma: float, still_share: float,
     settings : ObstacleSettings
     """
     return still_share >= STILL_SHARE and speed - 2 * sigma < settings.still_speed
-
-
-def is_inconsistent(nis: Iterable[float], dof: Iterable[int], confidence: float = 0.9999) -> bool:
-    """Return whether a stationary plane's innovations over several pairs contradict it.
-
-    Parameters
-    ----------
-    nis, dof : iterables of float, int
-        Squared Mahalanobis distances of its innovations and their dimensions.
-    confidence : float
-        Share of stationary planes that pass.
-    """
-    total = sum(dof)
-    return total > 0 and sum(nis) > ekf.chi2_bound(confidence, total)
 
 
 def within(evidence: Sequence[Evidence], seconds: float) -> list[Evidence]:

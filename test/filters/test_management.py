@@ -5,7 +5,6 @@ from dataclasses import replace
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import management
 from mv_slapse.filters.management import Evidence
-import numpy as np
 import pytest
 
 SETTINGS = ObstacleSettings()
@@ -18,15 +17,15 @@ def evidence(statistics, nis=5.0, speed=5.0, pair=PAIR):
 
 
 def test_steady_motion_confirms():
-    assert management.confirms(evidence([50, 50, 50]), True, SETTINGS)
+    assert management.confirms(evidence([50, 50]), True, SETTINGS)
 
 
 @pytest.mark.parametrize(('case', 'why'), [
-    (evidence([50, 50]), 'too few pairs'),
+    (evidence([50]), 'too few pairs'),
     (evidence([50] * 5, pair=PAIR // 10), 'too short'),
     (evidence([3] * 6), 'velocity may be zero'),
     (evidence([50, 50, 50, 3]), 'the newest pair shows none'),
-    (evidence([50] * 4, nis=40), 'detections do not move as the vectors say'),
+    (evidence([50] * 4, nis=12), 'detections do not move as the vectors say'),
     (evidence([50] * 4, speed=0.1), 'too slow'),
     ([], 'nothing')], ids=lambda x: x if isinstance(x, str) else '')
 def test_less_does_not_confirm(case, why):
@@ -38,7 +37,7 @@ def test_unknown_scale_has_no_least_speed():
 
 
 def test_old_evidence_does_not_confirm():
-    late = [*evidence([50, 50]), Evidence(20 * PAIR, 21 * PAIR, 50, 5, 6, 5)]
+    late = [*evidence([50]), Evidence(20 * PAIR, 21 * PAIR, 50, 5, 6, 5)]
     assert not management.confirms(late, True, SETTINGS)
 
 
@@ -58,16 +57,6 @@ def test_a_slow_obstacle_whose_place_turns_stationary_has_stopped():
     assert management.melts_into_scene(1.5, 0.5, 0.8, SETTINGS)
     assert not management.melts_into_scene(6.0, 0.5, 0.8, SETTINGS)
     assert not management.melts_into_scene(1.5, 0.5, 0.3, SETTINGS)
-
-
-def test_consistent_innovations_seldom_look_inconsistent(rng):
-    dof = rng.integers(1, 7, (400, 5))
-    nis = rng.chisquare(dof)
-    share = np.mean([management.is_inconsistent(n, d, 0.99) for n, d in zip(nis, dof,
-                                                                           strict=True)])
-    assert share < 0.04
-    assert management.is_inconsistent([30.0, 40.0], [3, 3])
-    assert not management.is_inconsistent([], [])
 
 
 def test_settings_decide():

@@ -146,7 +146,7 @@ def test_time_to_contact_carries_the_variance_of_the_closing():
 
 def test_noise_leads_to_errors_that_the_covariance_expects(case, rng):
     squares = []
-    for _ in range(20):
+    for _ in range(60):
         noisy = Case(case.drive, 0.3, rng)
         fit = noisy.fit()
         error = fit.product @ [*fit.centre, 1] - case.fit().product @ [*fit.centre, 1]
