@@ -27,11 +27,6 @@ class State:
         """Return the mean of a block, a view."""
         return self.mu[self._blocks[name]]
 
-    @property
-    def names(self) -> tuple[Hashable, ...]:
-        """Return the names of the blocks in the order of the state."""
-        return tuple(sorted(self._blocks, key=lambda name: self._blocks[name].start))
-
     def index(self, name: Hashable) -> slice:
         """Return where a block lies in mu and P."""
         return self._blocks[name]
@@ -48,14 +43,6 @@ class State:
         self._blocks[name] = slice(n, n + len(mu))
         self.mu = np.r_[self.mu, mu]
         self.P = np.block([[self.P, np.zeros((n, len(mu)))], [np.zeros((len(mu), n)), P]])
-
-    def add_derived(self, name: Hashable, mu: np.ndarray, J: np.ndarray, P: np.ndarray):
-        """Append a block mu = f(state) + noise: J = df/dmu (m, n), P of the noise (m, m)."""
-        cross = J @ self.P
-        self.add(name, mu, cross @ J.T + P)
-        at = self._blocks[name]
-        self.P[at, :at.start] = cross
-        self.P[:at.start, at] = cross.T
 
     def remove(self, name: Hashable):
         """Marginalise a block out: its rows and columns go, the rest keeps its values."""
@@ -81,19 +68,6 @@ def update(state: State, innovation: np.ndarray, H: np.ndarray, R: np.ndarray):
     I_KH = np.eye(len(state.mu)) - K @ H
     state.mu = state.mu + K @ innovation
     state.P = _symmetric(I_KH @ state.P @ I_KH.T + K @ R @ K.T)
-
-
-def update_information(state: State, information: np.ndarray, vector: np.ndarray):
-    """Correct the state by many measurements at once, collapsed into a normal equation.
-
-    The same as ``update`` with ``information`` = H^T R^-1 H (n, n) and ``vector`` =
-    H^T R^-1 (z - h(mu)) (n,), at a cost that does not grow with the number of measurements.
-    Joseph form: with L = (I + P information)^-1, P' = L P L^T + (L P) information (L P)^T.
-    """
-    L = np.linalg.inv(np.eye(len(state.mu)) + state.P @ information)
-    gain = L @ state.P
-    state.mu = state.mu + gain @ vector
-    state.P = _symmetric(gain @ L.T + gain @ information @ gain.T)
 
 
 def squared_distance(innovation: np.ndarray, S: np.ndarray) -> float:

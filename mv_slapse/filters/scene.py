@@ -2,9 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from mv_slapse.config import SceneSettings
-from mv_slapse.filters import scene_gate, scene_map, scene_state, scene_update
+from mv_slapse.filters import (
+    scene_gate,
+    scene_map,
+    scene_observations,
+    scene_state,
+    scene_update,
+)
+from mv_slapse.filters.scene_observations import Observe
 from mv_slapse.filters.scene_state import AnchoredPlane, Pose, SceneState
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays
@@ -131,12 +139,16 @@ class SceneFilter:
         baseline = self._baseline(extraction)
         known = scene_gate.consistent(self._state, extraction, settings)
         ground = self._trusted_ground(extraction, known)
-        ids = self._join(extraction, known, ground, baseline)
+        shown = self._shown(extraction, baseline)
+        ids = self._join(extraction, known, ground, baseline, shown)
         pair, index = _observation(extraction, ids)
-        self._state = scene_update.correspondences(
-            self._state, self._linearisation(extraction, baseline), pair, index, ids, settings)
-        ratio_known = self._carry_scale(extraction)
-        self._fix_scale(extraction, ground, first)
+        start = self._state.error_to(replace(self._state, current=shown))
+        ratio_known = not first and np.isfinite(extraction.baseline_ratio_sigma)
+        observations = [*self._rigid(extraction, ground, first), *self._ratio(extraction, ratio_known)]
+        self._state = scene_update.update(self._state, start, pair, index, ids, settings,
+                                          observations)
+        if not ratio_known:
+            scene_state.begin_depth_scale(self._state, settings.ratio_sigma)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
         if first or known or ratio_known:
@@ -178,7 +190,7 @@ class SceneFilter:
         return guess if progress.supported is not None and guess > 1e-9 else 1.0
 
     def _join(self, extraction: Extraction, known: set[int], ground: int | None,
-              baseline: float) -> list[int]:
+              baseline: float, shown: Pose) -> list[int]:
         """Return the planes to update, after putting new and lost ones in afresh.
 
         A plane comes in with next to no prior; its correspondences then determine it, together
@@ -191,47 +203,45 @@ class SceneFilter:
             if plane.id not in known:
                 if plane.id in state.planes:
                     state.remove_plane(plane.id)
-                world = state.current.R @ plane.plane / baseline
-                state.add_plane(plane.id, AnchoredPlane(world, state.current.t.copy()),
+                world = shown.R @ plane.plane / baseline
+                state.add_plane(plane.id, AnchoredPlane(world, shown.t.copy()),
                                 np.eye(3) * (3 * np.linalg.norm(world)) ** 2)
             ids.append(plane.id)
         return ids
 
-    def _linearisation(self, extraction: Extraction, baseline: float) -> np.ndarray:
-        """Return the error that takes the predicted pose to the one that the pair shows."""
-        state, motion = self._state, extraction.motion
-        R_world_from_cam = state.previous.R @ motion.R_cur_from_prev.T
-        t_world = state.previous.t - R_world_from_cam @ motion.t_cur_from_prev * baseline
-        shown = replace(state, current=Pose(R_world_from_cam, t_world))
-        return state.error_to(shown)
+    def _shown(self, extraction: Extraction, baseline: float) -> Pose:
+        """Return the pose that the pair shows, about which to linearise first."""
+        previous, motion = self._state.previous, extraction.motion
+        R_world_from_cam = previous.R @ motion.R_cur_from_prev.T
+        return Pose(R_world_from_cam,
+                    previous.t - R_world_from_cam @ motion.t_cur_from_prev * baseline)
 
-    def _carry_scale(self, extraction: Extraction) -> bool:
-        """Observe the baseline against the one before; return whether that was possible."""
-        settings, sampling = self._settings, extraction.baseline_ratio_sigma
-        if not np.isfinite(sampling) or self._progress.supported is None:
-            scene_state.begin_depth_scale(self._state, settings.ratio_sigma)
-            return False
-        sampling = np.hypot(sampling * np.sqrt(settings.dependence), settings.ratio_drift)
-        self._state, _ = scene_update.baseline_ratio(
-            self._state, extraction.baseline_ratio, sampling, settings.ratio_sigma)
-        return True
+    def _ratio(self, extraction: Extraction, known: bool) -> list[Observe]:
+        """Return the observation of the baseline by the one before, if it is known."""
+        if not known:
+            return []
+        settings = self._settings
+        sampling = extraction.baseline_ratio_sigma * np.sqrt(settings.dependence)
+        scene_state.move_depth_scale(self._state, extraction.baseline_ratio,
+                                     float(np.hypot(sampling, settings.ratio_drift)))
+        return [partial(scene_observations.baseline_ratio, sigma=settings.ratio_sigma)]
 
-    def _fix_scale(self, extraction: Extraction, ground: int | None, first: bool):
-        """Observe the camera's height above the ground, or settle the gauge.
+    def _rigid(self, extraction: Extraction, ground: int | None, first: bool) -> list[Observe]:
+        """Return what is known of a mounted camera, or else the gauge.
 
         The height's error lasts over key frames: as white noise it has to be larger.
         """
         settings = self._settings
         if settings.camera_height and ground is not None:
-            height, dt = settings.camera_height, (
-                extraction.stamp - extraction.previous_stamp) * 1e-9
-            lasting = np.sqrt(1 + 2 * settings.camera_height_time / dt)
-            self._state, _ = scene_update.camera_height(
-                self._state, ground, height, settings.camera_height_sigma * height * lasting)
-            self._state, _ = scene_update.mounting(self._state, ground, settings.mounting_sigma)
-            self._state, _ = scene_update.level_course(self._state, settings.course_sigma)
-        elif first:
-            self._state, _ = scene_update.unit_baseline(self._state, 1e-3)
+            height = settings.camera_height
+            dt = (extraction.stamp - extraction.previous_stamp) * 1e-9
+            lasting = float(np.sqrt(1 + 2 * settings.camera_height_time / dt))
+            return [partial(scene_observations.camera_height, ground=ground, height=height,
+                            sigma=settings.camera_height_sigma * height * lasting),
+                    partial(scene_observations.mounting, ground=ground,
+                            sigma=settings.mounting_sigma),
+                    partial(scene_observations.level_course, sigma=settings.course_sigma)]
+        return [partial(scene_observations.unit_baseline, sigma=1e-3)] if first else []
 
     def _forget(self, stamp: int):
         """Marginalise planes out that have had no support for long."""

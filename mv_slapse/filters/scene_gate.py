@@ -1,6 +1,7 @@
 """Which planes of the map a new extraction may correct."""
 
 from mv_slapse.config import SceneSettings
+from mv_slapse.filters import ekf
 from mv_slapse.filters.scene_state import (
     plane_in_camera,
     plane_in_camera_jacobian,
@@ -50,4 +51,4 @@ def squared_distance(state: SceneState, plane: PlaneObservation,
     biased = settings.depth_bias * plane.plane
     S = H @ state.P @ H.T + plane.covariance * settings.dependence + np.outer(biased, biased)
     innovation = plane.plane - in_camera * length
-    return float(innovation @ np.linalg.solve(S, innovation))
+    return ekf.squared_distance(innovation, S)

@@ -233,6 +233,13 @@ def begin_depth_scale(state: SceneState, sigma: float):
     ekf.predict(state.error, state.error.mu, F, Q)
 
 
+def move_depth_scale(state: SceneState, log_ratio: float, sigma: float):
+    """Move the scale of the depths by log(|t| now / |t| of the pair before), see planes.scale."""
+    at = state.at('depth_scale')
+    state.depth_scale += log_ratio
+    state.error.P[at, at] += sigma**2
+
+
 def move_anchor(state: SceneState, id: int, anchor: np.ndarray):
     """Express a plane about another anchor (3,) in {W}; what is known of it stays the same."""
     old = state.planes[id]

@@ -25,24 +25,8 @@ def transform(plane_a: np.ndarray, R_b_from_a: np.ndarray, t_b_from_a: np.ndarra
     return rotated / (1 - rotated @ t_b_from_a)
 
 
-def shift(plane: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Move a plane by a displacement [m] in its own frame, (15) of [MVO]."""
-    return plane / (1 - plane @ displacement)
-
-
-def shift_jacobian(plane: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Return the derivative of ``shift`` by the plane, (3, 3)."""
-    scale = 1 - plane @ displacement
-    return np.eye(3) / scale + np.outer(plane, displacement) / scale**2
-
-
 def normal_depth_jacobian(plane: np.ndarray) -> np.ndarray:
     """Return the derivative (4, 3) of (normal, depth) by the plane."""
     depth = 1 / np.linalg.norm(plane)
     normal = plane * depth
     return np.vstack([depth * (np.eye(3) - np.outer(normal, normal)), -depth**2 * normal])
-
-
-def intersect_rays(plane: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Return the points (N, 3) where rays (N, 3) meet the plane."""
-    return rays / -(rays @ plane)[:, None]

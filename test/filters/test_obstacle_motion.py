@@ -48,7 +48,7 @@ def test_prediction_moves_position_and_plane_at_constant_velocity(rng):
     np.testing.assert_allclose(now[:3], R @ (before[:3] + DT * velocity) + t)
     np.testing.assert_allclose(now[3:6], R @ velocity + after)
     # (15) of [MVO] for the plane, then the change of frame.
-    expected = planes.transform(planes.shift(om.plane(mu), DT * velocity), R, t)
+    expected = planes.transform(planes.transform(om.plane(mu), np.eye(3), DT * velocity), R, t)
     np.testing.assert_allclose(om.plane(moved), expected)
 
 

@@ -73,7 +73,7 @@ def test_a_handover_is_the_plane_about_the_worlds_origin(canyon, observed):
     assert (handover.id, handover.stamp, handover.to_label) == (WALL, stamp(3), Label.MOVING)
     np.testing.assert_array_equal(handover.velocity, 0)
     anchored = state.planes[WALL]
-    J = jacobian(lambda p: plane_geometry.shift(p, anchored.anchor), anchored.plane)
+    J = jacobian(lambda p: plane_geometry.transform(p, np.eye(3), anchored.anchor), anchored.plane)
     np.testing.assert_allclose(handover.covariance[:3, :3],
                                J @ state.error.covariance(WALL) @ J.T, rtol=1e-5, atol=1e-12)
     assert np.linalg.eigvalsh(handover.covariance).min() > 0
@@ -83,8 +83,7 @@ def test_the_outline_holds_all_blocks_of_the_plane_in_reach(canyon, observed):
     state, known = observed
     extraction, outline = canyon.extraction(3), known.planes(state)[WALL].outline
     rays = to_rays(extraction.K, extraction.x_cur[extraction.plane_id == WALL].astype(float))
-    X = plane_geometry.intersect_rays(canyon.planes(3)[WALL], rays) @ state.current.R.T + (
-        state.current.t)
+    X = rays / -(rays @ canyon.planes(3)[WALL])[:, None] @ state.current.R.T + state.current.t
     for axis in (1, 2):
         assert outline[:, axis].min() == pytest.approx(X[:, axis].min(), abs=1e-3)
         assert outline[:, axis].max() == pytest.approx(X[:, axis].max(), abs=1e-3)

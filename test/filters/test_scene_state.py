@@ -1,5 +1,7 @@
 """The scene's state: every derivative against its numerical twin, by the state's own errors."""
 
+from copy import deepcopy
+
 from mv_slapse.filters import scene_state
 from mv_slapse.filters.scene_state import AnchoredPlane, Pose
 from mv_slapse.geometry import plane as plane_geometry
@@ -20,16 +22,6 @@ def error_between(old, new):
     for id_ in old.planes:
         e[old.at(id_)] = new.planes[id_].plane - old.planes[id_].plane
     return e
-
-
-def copied(state):
-    """Return a state that shares nothing."""
-    twin = state.moved(np.zeros(state.size))
-    twin.error = scene_state.ekf.State()
-    for name in state.error.names:
-        twin.error.add(name, state.error[name].copy(), state.error.covariance(name))
-    twin.error.P = state.P.copy()
-    return twin
 
 
 @pytest.fixture
@@ -96,8 +88,8 @@ def test_propagated_covariance_is_that_of_the_numerical_transition(state):
     dt, P = 0.1, state.P.copy()
 
     def propagated(e):
-        twin = copied(state).moved(e)
-        twin.error = copied(state).error
+        twin = deepcopy(state).moved(e)
+        twin.error = deepcopy(state).error
         scene_state.propagate(twin, dt, 0.0, 0.0)
         return twin
 
@@ -113,7 +105,7 @@ def test_propagated_covariance_is_that_of_the_numerical_transition(state):
 def test_noise_is_that_of_many_small_steps(rng, state):
     state.omega = np.zeros(3)
     state.error.P = np.zeros_like(state.P)
-    fine = copied(state)
+    fine = deepcopy(state)
     scene_state.propagate(state, 0.3, 0.7, 0.4)
     for _ in range(300):
         scene_state.propagate(fine, 0.001, 0.7, 0.4)
@@ -135,7 +127,8 @@ def test_the_anchor_of_a_plane_is_of_no_account(rng, state):
     anchored = state.planes[4]
     elsewhere = rng.normal(size=3)
     state.planes[77] = AnchoredPlane(
-        plane_geometry.shift(anchored.plane, anchored.anchor - elsewhere), elsewhere)
+        plane_geometry.transform(anchored.plane, np.eye(3), anchored.anchor - elsewhere),
+        elsewhere)
     np.testing.assert_allclose(scene_state.plane_in_camera(state, 77),
                                scene_state.plane_in_camera(state, 4))
 
@@ -192,9 +185,9 @@ def test_scaling_the_state_commutes_with_its_errors(rng, state):
     """Values and covariance scale as samples of the state do."""
     factor, e = 2.5, rng.normal(0, 1e-3, state.size)
     e[state.at('mount')] = 0
-    sample = copied(state).moved(e)
-    sample.error = copied(state).error
-    nominal = copied(state)
+    sample = deepcopy(state).moved(e)
+    sample.error = deepcopy(state).error
+    nominal = deepcopy(state)
     scene_state.scale_lengths(nominal, factor)
     scene_state.scale_lengths(sample, factor)
     D = error_between(nominal, sample) / np.where(e == 0, 1, e)
@@ -221,8 +214,17 @@ def test_a_new_depth_scale_is_the_baseline_and_shares_its_error(state):
     assert state.P[at, at].item() == pytest.approx(expected @ H + 0.02**2)
 
 
+def test_a_ratio_moves_the_depth_scale_and_widens_it(state):
+    before, at = deepcopy(state), state.at('depth_scale')
+    scene_state.move_depth_scale(state, 0.1, 0.02)
+    assert state.depth_scale == pytest.approx(before.depth_scale + 0.1)
+    expected = before.P.copy()
+    expected[at, at] += 0.02**2
+    np.testing.assert_allclose(state.P, expected)
+
+
 def test_a_copied_pose_is_independent(state):
-    before, twin = copied(state).current, state.current.copy()
+    before, twin = deepcopy(state).current, state.current.copy()
     twin.t += 1
     twin.R[:] = 0
     np.testing.assert_array_equal(state.current.R, before.R)

@@ -1,8 +1,10 @@
-"""Corrections of the scene: derivatives of each innovation, and the maximum of the posterior."""
+"""Corrections of the scene: the maximum of the posterior of all that a pair tells."""
+
+from functools import partial
 
 from canyon import angle_between, CANYON, motion, turn_between, views
 from mv_slapse.config import SceneSettings
-from mv_slapse.filters import ekf, scene_state, scene_update
+from mv_slapse.filters import ekf, scene_observations, scene_state, scene_update
 from mv_slapse.filters.scene_state import AnchoredPlane, Pose
 from mv_slapse.geometry import rotation, two_view
 from numeric import jacobian
@@ -42,78 +44,55 @@ def state(rng, scene):
     return state
 
 
-def updated(scene, state, settings=SIMPLE):
-    return scene_update.correspondences(state, np.zeros(state.size), scene.pair, scene.surface,
-                                        IDS, settings)
+def updated(scene, state, settings=SIMPLE, observations=()):
+    return scene_update.update(state, np.zeros(state.size), scene.pair, scene.surface, IDS,
+                               settings, observations)
 
 
-def captured(monkeypatch, update, state):
-    """Return innovation, H and noise with which an update calls the linear one."""
-    with monkeypatch.context() as patch:
-        patch.setattr(scene_update, 'linear', lambda state, *arguments: arguments)
-        return update(state)
+def without_pair(scene, state, *observations):
+    """Update by direct observations alone."""
+    return scene_update.update(state, np.zeros(state.size), scene.pair[:0], scene.surface[:0], [],
+                               SIMPLE, observations)
 
 
-LINEAR = {
-    'camera height': lambda s: scene_update.camera_height(s, ROAD, 1.65, 0.03),
-    'mounting': lambda s: scene_update.mounting(s, ROAD, 0.01),
-    'unit baseline': lambda s: scene_update.unit_baseline(s, 1e-3),
-    'baseline ratio': lambda s: scene_update.baseline_ratio(s, 0.1, 0.01, 0.006),
-    'level course': lambda s: scene_update.level_course(s, 0.02),
-}
-
-
-@pytest.mark.parametrize('name', LINEAR)
-def test_each_jacobian_is_the_numerical_one_of_its_innovation(monkeypatch, state, name):
-    update = LINEAR[name]
-    _, H, noise = captured(monkeypatch, update, state.moved(np.zeros(state.size)))
-    numerical = -jacobian(lambda e: captured(monkeypatch, update, state.moved(e))[0],
-                          np.zeros(state.size))
-    # The mount is a unit vector: an error along itself does not count.
-    at, along = state.at('mount'), np.outer(state.mount, state.mount)
-    H[:, at] -= H[:, at] @ along
-    np.testing.assert_allclose(H, numerical, rtol=1e-5, atol=1e-7)
-    assert np.all(np.diag(noise) > 0)
-
-
-def test_innovations_by_hand(monkeypatch):
-    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
-    state.current.t = np.array([0, 0.3, 2.0])
-    state.add_plane(ROAD, AnchoredPlane(np.array([0, -0.5, 0]), np.array([0, 0.3, 0])), np.eye(3))
-    state.depth_scale = 0.5
-    innovation = {name: captured(monkeypatch, update, state)[0] for name, update in LINEAR.items()
-                  if name != 'baseline ratio'}
-    np.testing.assert_allclose(innovation['camera height'], [1.65 - 2.0])
-    np.testing.assert_allclose(innovation['mounting'], 0, atol=1e-12)
-    np.testing.assert_allclose(innovation['unit baseline'], [1 - np.hypot(0.3, 2)])
-    # The camera sinks: its motion t points up against the mount's normal.
-    np.testing.assert_allclose(innovation['level course'], [-0.3 / np.hypot(0.3, 2)])
-    value = captured(monkeypatch, LINEAR['baseline ratio'], state)[0]
-    np.testing.assert_allclose(value, [np.log(np.hypot(0.3, 2)) - 0.6])
-    assert state.depth_scale == pytest.approx(0.6)
-
-
-def test_linear_update_is_that_of_the_filter(rng, state):
+def test_a_linear_observation_is_that_of_the_filter(rng, scene, state):
     innovation, H, noise = rng.normal(size=2), rng.normal(size=(2, state.size)), np.diag([1.0, 2])
     H[:, state.at('mount')] = 0
     twin = ekf.State()
     twin.add('all', np.zeros(state.size), state.P)
     ekf.update(twin, innovation, H, noise)
-    S = H @ state.P @ H.T + noise
-    old = state.moved(np.zeros(state.size))
-    found, nis = scene_update.linear(state, innovation, H, noise)
+    once = SceneSettings(iterations=1)
+    found = scene_update.update(
+        state, np.zeros(state.size), scene.pair[:0], scene.surface[:0], [], once,
+        [lambda _: scene_observations.Observation(innovation, H, noise)])
     np.testing.assert_allclose(found.P, twin.P, atol=1e-12)
-    np.testing.assert_allclose(old.error_to(found)[:12], twin.mu[:12], atol=1e-9)
-    np.testing.assert_allclose(found.velocity, old.velocity + twin.mu[12:15])
-    assert nis == pytest.approx(innovation @ np.linalg.inv(S) @ innovation)
+    np.testing.assert_allclose(state.error_to(found)[:12], twin.mu[:12], atol=1e-9)
+    np.testing.assert_allclose(found.velocity, state.velocity + twin.mu[12:15])
 
 
 def test_camera_height_sets_the_depth_of_the_road(rng, scene):
     state = state_before(scene, rng)
-    found, _ = scene_update.camera_height(state, ROAD, 1.65, 1e-4)
-    found, _ = scene_update.camera_height(found, ROAD, 1.65, 1e-4)
+    found = without_pair(scene, state, partial(
+        scene_observations.camera_height, ground=ROAD, height=1.65, sigma=1e-5))
     depth = 1 / np.linalg.norm(scene_state.plane_in_camera(found, ROAD))
-    assert depth == pytest.approx(1.65, abs=5e-3)
+    assert depth == pytest.approx(1.65, abs=1e-4)
+
+
+def test_the_gauge_leaves_angles_and_proportions_as_the_pair_shows_them(rng, scene):
+    """Joined with the pair: set afterwards, at another length, it would bend the planes."""
+    state = state_before(scene, rng)
+    shown = state.moved(np.zeros(state.size))
+    state.current = Pose(state.current.R, np.zeros(3))
+    state.error.P[state.at('current'), state.at('current')][3:, 3:] = 100 * np.eye(3)
+    found = scene_update.update(
+        state, state.error_to(shown), scene.pair, scene.surface, IDS, SIMPLE,
+        [partial(scene_observations.unit_baseline, sigma=1e-6)])
+    R, t = scene_state.relative_motion(found)
+    assert np.linalg.norm(t) == pytest.approx(1, abs=1e-4)
+    assert np.degrees(angle_between(t, scene.t)) < 0.3
+    for id_, plane in zip(IDS[:3], CANYON[:3], strict=True):
+        np.testing.assert_allclose(scene_state.plane_in_camera(found, id_), plane,
+                                   atol=0.03 * np.linalg.norm(plane))
 
 
 def test_correspondences_find_the_pose_and_the_planes_exactly(rng):
@@ -197,8 +176,8 @@ def test_without_planes_direction_and_turn_are_corrected_and_the_length_is_not(r
     for id_ in IDS:
         state.remove_plane(id_)
     length = np.linalg.norm(state.current.t)
-    found = scene_update.correspondences(state, np.zeros(state.size), scene.pair,
-                                         np.full(len(scene.pair), -1), [], SIMPLE)
+    found = scene_update.update(state, np.zeros(state.size), scene.pair,
+                                np.full(len(scene.pair), -1), [], SIMPLE)
     R, t = scene_state.relative_motion(found)
     assert np.degrees(turn_between(R, scene.R)) < 0.03
     assert np.degrees(angle_between(t, scene.t)) < 0.5
@@ -212,7 +191,7 @@ def test_dependence_and_bias_widen_the_covariance(rng, scene):
     assert traces[0] < traces[1] < traces[2]
 
 
-def test_common_errors_of_depths_do_not_add_up():
+def test_common_errors_of_depths_do_not_add_up(scene):
     """Each pair's error is in its ratio and, negated, in the next: the way does not drift."""
     errors, sigmas = [], []
     for seed in range(20):
@@ -225,7 +204,9 @@ def test_common_errors_of_depths_do_not_add_up():
         for _ in range(50):
             scene_state.propagate(state, 0.1, 3.0, 0.1)
             before, common = common, rng.normal(0, 0.006)
-            state, _ = scene_update.baseline_ratio(state, common - before, 1e-4, 0.006)
+            scene_state.move_depth_scale(state, common - before, 1e-4)
+            state = without_pair(scene, state, partial(scene_observations.baseline_ratio,
+                                                       sigma=0.006))
         value, H = scene_state.log_baseline(state)
         errors.append(value)
         sigmas.append(np.sqrt(H @ state.P @ H))

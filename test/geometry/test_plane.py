@@ -37,27 +37,7 @@ def test_transformed_points_lie_on_the_transformed_plane(rng, random_plane, poin
     np.testing.assert_allclose((points @ R.T + t) @ plane.transform(random_plane, R, t), -1)
 
 
-def test_shifted_points_lie_on_the_shifted_plane(rng, random_plane, points):
-    displacement = rng.normal(size=3)
-    np.testing.assert_allclose((points + displacement) @ plane.shift(random_plane, displacement),
-                               -1)
-
-
-def test_shift_jacobian_is_the_numerical_one(rng, random_plane):
-    displacement = rng.normal(size=3)
-    expected = jacobian(lambda p: plane.shift(p, displacement), random_plane)
-    np.testing.assert_allclose(plane.shift_jacobian(random_plane, displacement), expected,
-                               rtol=1e-5, atol=1e-6)
-
-
 def test_normal_depth_jacobian_is_the_numerical_one(random_plane):
     expected = jacobian(lambda p: np.r_[plane.to_normal_depth(p)], random_plane)
     np.testing.assert_allclose(plane.normal_depth_jacobian(random_plane), expected, rtol=1e-5,
                                atol=1e-6)
-
-
-def test_rays_meet_the_plane_in_points_on_it(rng, random_plane):
-    rays = np.c_[rng.normal(size=(20, 2)), np.ones(20)]
-    X = plane.intersect_rays(random_plane, rays)
-    np.testing.assert_allclose(X @ random_plane, -1)
-    np.testing.assert_allclose(X / X[:, 2:], rays)

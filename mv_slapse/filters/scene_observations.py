@@ -1,0 +1,94 @@
+"""What the scene filter observes beside correspondences: lengths, mounting, course.
+
+Each function takes a state and returns an Observation of it, linearised there.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from mv_slapse.filters.scene_state import (
+    log_baseline,
+    plane_in_camera,
+    plane_in_camera_jacobian,
+    relative_motion,
+    relative_motion_jacobian,
+    SceneState,
+)
+import numpy as np
+
+
+class Observation(NamedTuple):
+    """Innovation z - h (m,), derivative H of h (m, n) by the error state, noise (m, m)."""
+
+    innovation: np.ndarray
+    H: np.ndarray
+    noise: np.ndarray
+
+
+Observe = Callable[[SceneState], Observation]
+
+
+def camera_height(state: SceneState, ground: int, height: float, sigma: float) -> Observation:
+    """Observe the camera's height [m] above the ground plane, which sets the scale."""
+    plane = plane_in_camera(state, ground)
+    by_pose, by_plane = plane_in_camera_jacobian(state, ground)
+    depth = 1 / np.linalg.norm(plane)
+    by_camera_plane = -depth**3 * plane
+    H = np.zeros((1, state.size))
+    H[0, state.at('current')] = by_camera_plane @ by_pose
+    H[0, state.at(ground)] = by_camera_plane @ by_plane
+    return Observation(np.array([height - depth]), H, np.eye(1) * sigma**2)
+
+
+def mounting(state: SceneState, ground: int, sigma: float) -> Observation:
+    """Observe the rigid mounting: the ground's normal in the camera stays as it is [rad]."""
+    plane = plane_in_camera(state, ground)
+    by_pose, by_plane = plane_in_camera_jacobian(state, ground)
+    length = np.linalg.norm(plane)
+    normal = plane / length
+    by_camera_plane = (np.eye(3) - np.outer(normal, normal)) / length
+    H = np.zeros((3, state.size))
+    H[:, state.at('current')] = by_camera_plane @ by_pose
+    H[:, state.at(ground)] = by_camera_plane @ by_plane
+    H[:, state.at('mount')] = -np.eye(3)
+    return Observation(state.mount - normal, H, np.eye(3) * sigma**2)
+
+
+def unit_baseline(state: SceneState, sigma: float) -> Observation:
+    """Observe a distance of one between the two poses: the gauge where scale is free."""
+    value, H = log_baseline(state)
+    return Observation(np.array([-value]), H[None], np.eye(1) * sigma**2)
+
+
+def baseline_ratio(state: SceneState, sigma: float) -> Observation:
+    """Observe the log of the baseline, by the scale of the depths.
+
+    The depths of the pair before have a common error, which a ratio holds with the opposite sign
+    of the next: such errors must not add up. So the scale of the depths is a state, moved by
+    the ratio (see scene_state.move_depth_scale), and the baseline equals it but for the pair's
+    own common error.
+
+    Parameters
+    ----------
+    state : SceneState
+    sigma : float
+        Common error of the depths of one pair, as a share.
+    """
+    value, H = log_baseline(state)
+    H = -H
+    H[state.at('depth_scale')] = 1
+    return Observation(np.array([value - state.depth_scale]), H[None], np.eye(1) * sigma**2)
+
+
+def level_course(state: SceneState, sigma: float) -> Observation:
+    """Observe that a vehicle's course lies in the ground: mount . t = 0 but for sigma [rad]."""
+    R, t = relative_motion(state)
+    length = np.linalg.norm(t)
+    by_previous, by_current = relative_motion_jacobian(state)
+    direction = t / length
+    by_t = (state.mount - (state.mount @ direction) * direction) / length
+    H = np.zeros((1, state.size))
+    H[0, state.at('previous')] = by_t @ by_previous[3:]
+    H[0, state.at('current')] = by_t @ by_current[3:]
+    H[0, state.at('mount')] = direction
+    return Observation(np.array([-state.mount @ direction]), H, np.eye(1) * sigma**2)

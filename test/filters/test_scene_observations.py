@@ -1,0 +1,54 @@
+"""What is observed beside correspondences: derivative of each innovation, and its value."""
+
+from mv_slapse.filters import scene_observations, scene_state
+from mv_slapse.filters.scene_state import AnchoredPlane, Pose
+from mv_slapse.geometry import rotation
+from numeric import jacobian
+import numpy as np
+import pytest
+
+ROAD = 4
+OBSERVATIONS = {
+    'camera height': lambda s: scene_observations.camera_height(s, ROAD, 1.65, 0.03),
+    'mounting': lambda s: scene_observations.mounting(s, ROAD, 0.01),
+    'unit baseline': lambda s: scene_observations.unit_baseline(s, 1e-3),
+    'baseline ratio': lambda s: scene_observations.baseline_ratio(s, 0.006),
+    'level course': lambda s: scene_observations.level_course(s, 0.02),
+}
+
+
+@pytest.fixture
+def state(rng):
+    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
+    state.previous = Pose(rotation.exp(rng.normal(0, 0.5, 3)), rng.normal(0, 3, 3))
+    state.current = Pose(state.previous.R @ rotation.exp(rng.normal(0, 0.05, 3)),
+                         state.previous.t + rng.normal(0, 1, 3))
+    state.depth_scale = 0.3
+    state.add_plane(ROAD, AnchoredPlane(rng.normal(0, 0.3, 3), state.previous.t), np.eye(3))
+    return state
+
+
+@pytest.mark.parametrize('name', OBSERVATIONS)
+def test_each_jacobian_is_the_numerical_one_of_its_innovation(state, name):
+    observe = OBSERVATIONS[name]
+    _, H, noise = observe(state)
+    numerical = -jacobian(lambda e: observe(state.moved(e)).innovation, np.zeros(state.size))
+    # The mount is a unit vector: an error along itself does not count.
+    at, along = state.at('mount'), np.outer(state.mount, state.mount)
+    H[:, at] -= H[:, at] @ along
+    np.testing.assert_allclose(H, numerical, rtol=1e-5, atol=1e-7)
+    assert np.all(np.diag(noise) > 0)
+
+
+def test_innovations_by_hand():
+    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
+    state.current.t = np.array([0, 0.3, 2.0])
+    state.add_plane(ROAD, AnchoredPlane(np.array([0, -0.5, 0]), np.array([0, 0.3, 0])), np.eye(3))
+    state.depth_scale = 0.5
+    innovation = {name: observe(state).innovation for name, observe in OBSERVATIONS.items()}
+    np.testing.assert_allclose(innovation['camera height'], [1.65 - 2.0])
+    np.testing.assert_allclose(innovation['mounting'], 0, atol=1e-12)
+    np.testing.assert_allclose(innovation['unit baseline'], [-np.log(np.hypot(0.3, 2))])
+    np.testing.assert_allclose(innovation['baseline ratio'], [np.log(np.hypot(0.3, 2)) - 0.5])
+    # The camera sinks: its motion t points up against the mount's normal.
+    np.testing.assert_allclose(innovation['level course'], [-0.3 / np.hypot(0.3, 2)])
