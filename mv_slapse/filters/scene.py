@@ -144,7 +144,8 @@ class SceneFilter:
         pair, index = _observation(extraction, ids)
         start = self._state.error_to(replace(self._state, current=shown))
         ratio_known = not first and np.isfinite(extraction.baseline_ratio_sigma)
-        observations = [*self._rigid(extraction, ground, first), *self._ratio(extraction, ratio_known)]
+        observations = [*self._rigid(extraction, ground, first),
+                        *self._ratio(extraction, ratio_known)]
         self._state = scene_update.update(self._state, start, pair, index, ids, settings,
                                           observations)
         if not ratio_known:
