@@ -1,7 +1,6 @@
 """Which detection continues which track: overlap of macroblocks and Mahalanobis distance."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from mv_slapse.filters import ekf
 from mv_slapse.filters import obstacle_motion as om
@@ -14,7 +13,11 @@ OVERLAP_COST = 10.0  # of no overlap at all, against a squared distance
 MIN_OVERLAP = 0.1
 OTHER_ID_COST = 2.0
 RESCUE = 4.0  # a well overlapping detection may be this many gates off, and then counts less
-DEPTH_RATIO = (0.6, 1.6)  # between two surfaces of one vehicle
+SAME_ID_RESCUE = 16.0  # the same, if the extractor calls it the same region
+DEPTH_RATIO = (0.6, 1.6)  # between two surfaces of one vehicle,
+SIMILAR_RATIO = (0.8, 1.25)  # if their lower edges tell otherwise: one need not be a foot
+GAP_SHARE = 0.25  # of a vehicle's smaller side that may have no vectors between two of its parts
+INSIDE = 0.5  # share of a part's box that the whole's box holds
 
 
 def overlap(x: np.ndarray, other: np.ndarray) -> float:
@@ -72,38 +75,53 @@ def _cost(track, detection, gate):
     distance, dof = squared_distance(track.mu, track.P, detection)
     shared = overlap(track.x, detection.x)
     limit = ekf.chi2_bound(gate, dof)
-    if shared < MIN_OVERLAP or distance > limit * (RESCUE if shared > 0.5 else 1.0):
+    same_id = track.plane_id == detection.id
+    rescue = SAME_ID_RESCUE if same_id else RESCUE
+    if shared < MIN_OVERLAP or distance > limit * (rescue if shared > 0.5 else 1.0):
         return FORBIDDEN
-    return distance + OVERLAP_COST * (1 - shared) + OTHER_ID_COST * (
-        track.plane_id != detection.id)
+    return distance + OVERLAP_COST * (1 - shared) + OTHER_ID_COST * (not same_id)
 
 
-def grouped(detections: Sequence[Detection], gate: float) -> list[Detection]:
-    """Join the surfaces of one vehicle into the detection of the largest one.
+def groups(detections: Sequence[Detection], gate: float) -> list[list[Detection]]:
+    """Return the surfaces of each vehicle, the largest one first.
 
     Detections come largest first; each joins the first one before it that it touches and whose
     motion it shares.
     """
-    groups: list[list[Detection]] = []
+    found: list[list[Detection]] = []
     for detection in detections:
-        home = next((g for g in groups if any(same_body(d, detection, gate) for d in g)), None)
+        home = next((g for g in found if any(same_body(d, detection, gate) for d in g)), None)
         if home is None:
-            groups.append([detection])
+            found.append([detection])
         else:
             home.append(detection)
-    return [_joined(group) for group in groups]
+    return found
 
 
 def same_body(one: Detection, other: Detection, gate: float) -> bool:
     """Return whether two surfaces touch and move as one body at about one depth."""
-    return _touch(one.box, other.box) and _share_depth(one, other) and _share_motion(
-        one, other, gate)
+    ratios = DEPTH_RATIO if _share_depth(one, other) else SIMILAR_RATIO
+    return _touch(one.box, other.box) and _share_motion((one.z, one.R), (other.z, other.R),
+                                                        ratios, gate)
+
+
+def is_part(whole: tuple[np.ndarray, np.ndarray], whole_box: np.ndarray,
+            part: tuple[np.ndarray, np.ndarray], part_box: np.ndarray, gate: float) -> bool:
+    """Return whether what lies inside a vehicle's box, for the most, moves as the vehicle does.
+
+    ``whole`` and ``part`` are states (8,) with their covariances (8, 8).
+    """
+    low = np.maximum(whole_box[:2], part_box[:2])
+    high = np.minimum(whole_box[:2] + whole_box[2:], part_box[:2] + part_box[2:])
+    common = np.prod(np.maximum(high - low, 0))
+    return bool(common > INSIDE * np.prod(part_box[2:])) and _share_motion(
+        whole, part, SIMILAR_RATIO, gate)
 
 
 def _touch(a, b):
-    """Whether two boxes lie at most a block apart."""
-    return bool(np.all(np.maximum(a[:2], b[:2]) - np.minimum(a[:2] + a[2:], b[:2] + b[2:])
-                       <= CELL))
+    """Whether two boxes lie at most a block, or a share of the larger one, apart."""
+    gap = np.maximum(a[:2], b[:2]) - np.minimum(a[:2] + a[2:], b[:2] + b[2:])
+    return bool(np.all(gap <= max(CELL, GAP_SHARE * max(np.min(a[2:]), np.min(b[2:])))))
 
 
 def _share_depth(one, other):
@@ -118,18 +136,8 @@ def _share_depth(one, other):
     return abs(one.z[2] - other.z[2]) < 2 * sigma + 0.1
 
 
-def _share_motion(one, other, gate):
+def _share_motion(one, other, ratios, gate):
     """Whether one velocity explains both rates, at depths of a ratio that one body allows."""
-    a, b = one.z[om.RATE], other.z[om.RATE]
-    ratio = np.clip(a @ b / max(b @ b, 1e-12), *DEPTH_RATIO)
-    S = one.R[om.RATE, om.RATE] + ratio**2 * other.R[om.RATE, om.RATE]
-    return ekf.squared_distance(a - ratio * b, S) < ekf.chi2_bound(gate, 3)
-
-
-def _joined(group):
-    """Return the detection of a group: the largest one's motion, the blocks of all."""
-    first = group[0]
-    if len(group) == 1:
-        return first
-    return replace(first, x=np.concatenate([d.x for d in group]),
-                   block=np.concatenate([d.block for d in group]))
+    (a, A), (b, B) = ((mean[om.RATE], cov[om.RATE, om.RATE]) for mean, cov in (one, other))
+    ratio = np.clip(a @ b / max(b @ b, 1e-12), *ratios)
+    return ekf.squared_distance(a - ratio * b, A + ratio**2 * B) < ekf.chi2_bound(gate, 3)

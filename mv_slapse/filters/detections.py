@@ -1,5 +1,6 @@
 """Moving planes of one key frame pair as observations of the obstacle filters, (16) of [MVO]."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from scipy.ndimage import label as components
 CELL = 16  # [px] of the lattice on which regions are compared
 OUTLINE_SHARE = 0.08  # of a region's size: how well its blocks show its middle
 CUT_SHARE = 0.3  # the same where the picture's edge cuts it off
+SHAPE_SHARE = 0.03  # of a rate: vehicles are no planes, and their faces move apart
 HIDDEN_CONTACT_SIGMA = 0.3  # of ln Z where the picture's edge cuts the region off below
 
 
@@ -123,6 +125,34 @@ def from_handover(handover: PlaneHandover, extraction: Extraction, view: View,
                       ScalePrior.GROUND_CONTACT, view)
 
 
+def joined(group: Sequence[Detection], view: View) -> Detection:
+    """Return the detection of a vehicle: the motion of its first surface, the blocks of all."""
+    first = group[0]
+    if len(group) == 1:
+        return first
+    x = np.concatenate([item.x for item in group])
+    block = np.concatenate([item.block for item in group])
+    box = box_of(x, block)
+    whole = replace(_moved(first, _centre(box, view)), x=x, block=block)
+    whole.R[om.BEARING, om.BEARING] = _bearing_covariance(box, block, view)
+    return _on_ground(whole, view)
+
+
+def _moved(detection, centre):
+    """Return a detection's state about another ray (2,) of its plane."""
+    offset = centre - detection.z[om.BEARING]
+    rate, slope = detection.z[om.RATE], detection.z[om.SLOPE]
+    # A plane that is seen edge-on tells nothing of what lies beside it.
+    w = np.clip(1 + slope @ offset, 0.5, 2.0)
+    J = np.eye(om.SIZE)
+    J[2, om.SLOPE] = -offset / w
+    J[om.RATE, om.RATE] = w * np.eye(3)
+    J[om.RATE, om.SLOPE] = np.outer(rate, offset)
+    J[om.SLOPE, om.SLOPE] = np.eye(2) / w - np.outer(slope, offset) / w**2
+    z = np.r_[centre, detection.z[2] - np.log(w), w * rate, slope / w]
+    return replace(detection, z=z, R=J @ detection.R @ J.T)
+
+
 def _blocks(extraction, plane_id):
     """Return centres and sizes of the largest connected part of a plane's blocks."""
     at = extraction.plane_id == plane_id
@@ -143,7 +173,7 @@ def _blocks(extraction, plane_id):
 def _detection(id_, state, covariance, x, block, prior, view):
     """Return the Detection of (plane, t_d) in the camera [map unit], None if behind it."""
     box = box_of(x, block)
-    centre = to_rays(view.K, (box[:2] + box[2:] / 2)[None])[0, :2]
+    centre = _centre(box, view)
     if -state[:3] @ np.r_[centre, 1.0] <= 1e-9 or not np.all(np.isfinite(covariance)):
         return None
     theta, jacobian = moving_plane.from_plane(state[:3], state[3:], centre, view.t_cur_from_prev)
@@ -154,14 +184,23 @@ def _detection(id_, state, covariance, x, block, prior, view):
     scale = np.r_[1.0, np.full(3, 1 / view.dt), 1.0, 1.0]
     R = np.zeros((om.SIZE, om.SIZE))
     R[2:, 2:] = covariance[np.ix_(order, order)] * np.outer(scale, scale)
-    focal = np.diag(view.K)[:2]
-    share = np.where(is_cut(box, view), CUT_SHARE, OUTLINE_SHARE)
-    R[om.BEARING, om.BEARING] = np.diag(
-        (np.max(block, axis=0)**2 / 12 + (share * box[2:])**2) / focal**2)
+    R[om.BEARING, om.BEARING] = _bearing_covariance(box, block, view)
     contact = moving_plane.contact(x, block)
     return Detection(id_, np.r_[centre, theta[order] * scale], R,
                      prior is ScalePrior.GROUND_CONTACT, x, block, prior,
                      _edge(contact, R[2, 2]))
+
+
+def _centre(box, view):
+    """Return the ray (2,) of a box's middle."""
+    return to_rays(view.K, (box[:2] + box[2:] / 2)[None])[0, :2]
+
+
+def _bearing_covariance(box, block, view):
+    """Return how well a box shows the ray (2,) of the middle of what it surrounds, (2, 2)."""
+    share = np.where(is_cut(box, view), CUT_SHARE, OUTLINE_SHARE)
+    return np.diag((np.max(block, axis=0)**2 / 12 + (share * box[2:])**2)
+                   / np.diag(view.K)[:2]**2)
 
 
 def _edge(contact, variance):
@@ -173,8 +212,8 @@ def _edge(contact, variance):
 def _blurred(detection, view, settings):
     """Add what all vectors of a region have in common to the covariance of the rate.
 
-    A bias of the encoder, which weighs more on the growth of a small region, and the error of
-    the camera's rotation.
+    A bias of the encoder, which weighs more on the growth of a small region, the error of the
+    camera's rotation, and that of the plane.
     """
     bias = settings.vector_bias / np.diag(view.K)[:2]
     growth = settings.vector_bias / max(0.5 * float(np.min(detection.box[2:])), CELL / 2)
@@ -182,7 +221,8 @@ def _blurred(detection, view, settings):
     turn = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x], [0.0, 0.0, 0.0]])
     shared = np.diag(np.r_[bias**2, growth**2]) + turn @ view.rotation_covariance @ turn.T
     R = detection.R.copy()
-    R[om.RATE, om.RATE] += shared / view.dt**2
+    rate = detection.z[om.RATE]
+    R[om.RATE, om.RATE] += shared / view.dt**2 + SHAPE_SHARE**2 * (rate @ rate) * np.eye(3)
     return replace(detection, R=R)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import association, management, tracks
-from mv_slapse.filters.detections import Detection, detections, from_handover
+from mv_slapse.filters.detections import Detection, detections, from_handover, joined
 from mv_slapse.filters.obstacle_motion import CameraStep
 from mv_slapse.filters.view import relative_motion, View, view_of
 from mv_slapse.records import (
@@ -61,11 +61,12 @@ class ObstacleTracker:
         view = view_of(extraction, scene, self._scene)
         self._predict(extraction, scene, view)
         self._scene, self._view = scene, view
-        found = association.grouped(detections(extraction, view, self._settings),
-                                    self._settings.gate)
+        found = [joined(group, view) for group in association.groups(
+            detections(extraction, view, self._settings), self._settings.gate)]
         free = self._continue(found, extraction)
         free = self._absorb(free, extraction.stamp)
         self._begin(free, extraction)
+        self._merge()
         self._take(handovers, extraction)
         return self._finish(extraction)
 
@@ -84,16 +85,35 @@ class ObstacleTracker:
     def _continue(self, found, extraction):
         """Update tracks by their detections; return the detections that have none."""
         pairs = association.associate(self._tracks, found, self._settings.gate)
-        for i, j in pairs:
-            self._tracks[i].update(found[j], extraction, self._view, self._settings)
-        taken = {j for _, j in pairs}
-        return [item for j, item in enumerate(found) if j not in taken]
+        parts = {i: [found[j]] for i, j in pairs}
+        taken, free = {j for _, j in pairs}, []
+        for item in (item for j, item in enumerate(found) if j not in taken):
+            home = next((i for i in parts if self._tracks[i].contains(
+                item, self._view, self._settings.gate)), None)
+            (free if home is None else parts[home]).append(item)
+        for i, group in parts.items():
+            self._tracks[i].update(joined(group, self._view), extraction, self._view,
+                                   self._settings)
+        return free
 
     def _absorb(self, free, stamp):
         """Drop detections that lie on an obstacle just updated: parts of it, not a second one."""
         seen = [track for track in self._tracks if track.last_seen == stamp]
         return [item for item in free
                 if not any(association.overlap(track.x, item.x) > 0.3 for track in seen)]
+
+    def _merge(self):
+        """Let the tracks of one vehicle become one, under the id that is known longest."""
+        kept: list[tracks.Track] = []
+        order = sorted(self._tracks, key=lambda track: (not track.confirmed, track.first_seen))
+        for track in order:
+            home = next((other for other in kept if other.contains(
+                track, self._view, self._settings.gate)), None)
+            if home is None:
+                kept.append(track)
+            elif track.last_seen > home.last_seen:
+                home.continue_as(track)
+        self._tracks = kept
 
     def _begin(self, free: list[Detection], extraction):
         for detection in free:

@@ -18,6 +18,7 @@ DRIFT_GAIN = 0.3
 UNREST_RANGE = (0.3, 3.0)  # of the acceleration, calm and in a manoeuvre
 EDGE_SHARE = 0.3  # [1/sqrt(s)]
 POINT_SHARE, PART_SHARE = 0.1, 0.5  # of an obstacle's size; the latter at the picture's edge
+FOOT_SIGMA = 2.5  # [px] by which it is wrong for as long as the obstacle looks the same
 BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
 
 
@@ -110,6 +111,18 @@ class Track:
             self.scale_prior, self.edge = detection.scale_prior, detection.edge
         self.witness(extraction, view, distance, dof)
 
+    def contains(self, part: 'Detection | Track', view: View, gate: float) -> bool:
+        """Return whether a detection, or another track, is a part of this obstacle."""
+        state = (part.z, part.R) if isinstance(part, Detection) else (part.mu, part.P)
+        box = part.box if isinstance(part, Detection) else part.box(view)
+        return association.is_part((self.mu, self.P), self.box(view), state, box, gate)
+
+    def continue_as(self, other: 'Track'):
+        """Take over what another track of the same obstacle knows, which saw it last."""
+        for name in ('plane_id', 'state', 'x', 'block', 'edge', 'scale_prior', 'last_seen',
+                     'drift', 'evidence'):
+            setattr(self, name, getattr(other, name))
+
     def _unrest(self):
         """Return the factor on the acceleration: a constant velocity needs little of it."""
         expected = len(self.drift) * DRIFT_GAIN / (2 - DRIFT_GAIN)
@@ -170,9 +183,7 @@ class Track:
     def obstacle(self, stamp: int, view: View) -> Obstacle:
         """Return the record of this track at a key frame."""
         motion = self.motion(view)
-        which_point = self._point_sigma(view)**2
-        motion.covariance[:3, :3] += which_point * np.eye(3)
-        motion.covariance[3:, 3:] += which_point * np.outer(self.mu[om.RATE], self.mu[om.RATE])
+        motion.covariance[:] += self._never_averaged(view)
         turn = np.kron(np.eye(2), view.R_world_from_cam)
         seen = self.last_seen == stamp
         state = ObstacleState.TENTATIVE if not self.confirmed else (
@@ -183,6 +194,24 @@ class Track:
             turn @ motion.covariance @ turn.T, *self.time_to_contact(), self.box(view),
             self._outline(view), len(self.x), 1e-9 * (stamp - self.first_seen), self.last_seen,
             self.scale_prior)
+
+    def _never_averaged(self, view):
+        """Return what (6, 6) is wrong of position and velocity all the time.
+
+        The middle of what is seen is not that of the surface; what a block shows of a vehicle's
+        foot is the same from pair to pair; and the ground is as wrong as the map says.
+        """
+        point, rate = self._point_sigma(view)**2, self.mu[om.RATE]
+        result = np.zeros((6, 6))
+        result[:3, :3] = point * np.eye(3)
+        result[3:, 3:] = point * np.outer(rate, rate)
+        if self.scale_prior is ScalePrior.GROUND_CONTACT and view.ground is not None:
+            foot = np.r_[self.mu[0], (self.edge.row - view.K[1, 2]) / view.K[1, 1], 1.0]
+            normal = view.ground / np.linalg.norm(view.ground)
+            tilt = foot @ view.ground_normal_covariance @ foot / max((normal @ foot)**2, 1e-6)
+            along = np.exp(self.mu[2]) * np.r_[self.mu[om.BEARING], 1.0, rate]
+            result += ((FOOT_SIGMA / self.edge.drop)**2 + tilt) * np.outer(along, along)
+        return result
 
     def _point_sigma(self, view):
         """Return how far the middle of what is seen is from the middle of the surface [unit].

@@ -29,6 +29,8 @@ class View:
         Of R_cur_from_prev.
     ground : (3,) float64 or None
         Ground plane n / d in the camera [1/map unit].
+    ground_normal_covariance : (3, 3) float64
+        Of its unit normal in the camera.
     size : (2,) float64
         Width and height of the picture [px].
     is_metric : bool
@@ -45,6 +47,7 @@ class View:
     scene_covariance: np.ndarray
     rotation_covariance: np.ndarray
     ground: np.ndarray | None
+    ground_normal_covariance: np.ndarray
     size: np.ndarray
     is_metric: bool
 
@@ -77,7 +80,7 @@ def view_of(extraction: Extraction, scene: SceneEstimate, before: SceneEstimate 
         R, t = relative_motion(before, scene)
     return View(extraction.K, scene.R_world_from_cam, scene.t_world_from_cam, R, t, dt, unit,
                 t / dt, _scene_covariance(t / dt, unit / dt, motion.covariance[3:, 3:], scene),
-                motion.covariance[:3, :3], _ground(scene),
+                motion.covariance[:3, :3], *_ground(scene),
                 np.array([extraction.width, extraction.height], float),
                 scene.scale_status is ScaleStatus.METRIC)
 
@@ -111,11 +114,11 @@ def _scene_covariance(velocity, per_direction, direction_covariance, scene):
 
 
 def _ground(scene):
-    """Return the map's ground plane n / d in the camera, or None."""
+    """Return the map's ground plane n / d in the camera, or None, and its normal's covariance."""
+    R = scene.R_world_from_cam
     for plane in scene.planes:
-        if plane.is_ground:
-            R = scene.R_world_from_cam
-            depth = plane.depth + plane.normal @ scene.t_world_from_cam
-            if abs(depth) > 1e-6:
-                return planes.from_normal_depth(R.T @ plane.normal, depth)
-    return None
+        depth = plane.depth + plane.normal @ scene.t_world_from_cam
+        if plane.is_ground and abs(depth) > 1e-6:
+            return (planes.from_normal_depth(R.T @ plane.normal, depth),
+                    R.T @ plane.covariance[:3, :3] @ R)
+    return None, np.zeros((3, 3))

@@ -18,8 +18,8 @@ import numpy as np
 
 RATE, SLOPE, LOG_DEPTH = slice(0, 3), slice(3, 5), 5
 # Share of a block that a vehicle must cover to give it its vector: roads are plain, and vehicles
-# are not. On rendered streets the lowest blocks end 3 to 7 px below the vehicle, not 0.
-COVERED = 0.2
+# are not. On rendered streets the lowest blocks end 5 to 8 px below the vehicle, not 0.
+COVERED = 0.1
 
 
 class Contact(NamedTuple):

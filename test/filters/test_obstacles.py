@@ -93,7 +93,7 @@ def test_errors_are_what_the_covariance_expects():
     nees = [np.mean(errors(drive, run(drive, np.random.default_rng(seed)))[:, 3])
             for drive in CASES.values() for seed in range(3)]
     # Drawn vectors have no errors in common, of which the covariance takes account.
-    assert 0.5 < np.mean(nees) < 7.0
+    assert 0.3 < np.mean(nees) < 7.0
     assert np.quantile(nees, 0.95) < 14
 
 

@@ -6,7 +6,7 @@ from drawn_movers import Drive, DT, K, Mover
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import obstacle_motion as om
 from mv_slapse.filters import tracks
-from mv_slapse.filters.detections import detections
+from mv_slapse.filters.detections import _moved, detections, joined
 from mv_slapse.filters.view import view_of
 from numeric import jacobian
 import numpy as np
@@ -75,6 +75,34 @@ def test_handover_has_the_covariance_of_plane_and_velocity(rng):
     np.testing.assert_allclose(handover.covariance / scale, expected / scale, atol=1e-3)
     np.testing.assert_allclose(handover.plane, state(track.mu)[:3])
     assert not np.any(handover.velocity)
+
+
+def test_surfaces_of_one_vehicle_are_seen_about_the_middle_of_all_blocks(rng):
+    moment = Moment(0.5, rng)
+    whole, view = moment.detection, moment.view
+    left = whole.x[:, 0] < np.median(whole.x[:, 0]) - 1
+    halves = [replace(whole, x=whole.x[part], block=whole.block[part]) for part in (left, ~left)]
+    found = joined(halves, view)
+    np.testing.assert_allclose(found.box, whole.box)
+    np.testing.assert_allclose(found.z, whole.z, atol=1e-9)
+    assert joined(halves[:1], view) is halves[0]
+
+
+def test_another_middle_of_a_plane_has_the_numerical_derivative(rng):
+    moment = Moment(0.5, rng)
+    item = replace(moment.detection, z=moment.detection.z + rng.normal(0, 0.1, 8))
+    centre = item.z[om.BEARING] + 0.05
+
+    def state(z):
+        return _moved(replace(item, z=np.r_[item.z[om.BEARING], z]), centre).z[2:]
+    J = jacobian(state, item.z[2:])
+    expected = J @ item.R[2:, 2:] @ J.T
+    np.testing.assert_allclose(_moved(item, centre).R[2:, 2:], expected, rtol=1e-5,
+                               atol=1e-6 * np.abs(expected).max())
+    # The plane and its velocity are the same.
+    np.testing.assert_allclose(om.plane(_moved(item, centre).z), om.plane(item.z))
+    speed = [np.exp(z[2]) * z[om.RATE] for z in (item.z, _moved(item, centre).z)]
+    np.testing.assert_allclose(*speed)
 
 
 def edge_evidence(track, detection, **changed):
