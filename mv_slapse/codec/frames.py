@@ -159,7 +159,10 @@ class _Stamps:
 
 
 def _numbered(data: bytes, number: int) -> av.Packet:
-    packet = av.Packet(data)
+    # Copied, as FFmpeg reads beyond the end: its own buffers are padded with zeros, those of
+    # Python are not, and what lay there spoilt MPEG-4 pictures at random.
+    packet = av.Packet(len(data))
+    packet.update(data)
     packet.pts = packet.dts = number
     return packet
 

@@ -13,6 +13,8 @@ import numpy as np
 MACROBLOCK = 16  # px
 DEPTH = 8  # pieces of evidence looked at for each macroblock
 TYPICAL_VOTES = np.float32(5)  # at which a vector is as good as the stream's sigma says
+STANDING = 0.5  # share of vectors that are not zero below which the camera may be standing
+SLOW = 2.0  # px, median motion below which a far point may have none
 ABSENT = 1e6  # px, a vector that agrees with none
 AROUND = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
 
@@ -124,7 +126,8 @@ def consensus(evidence: Evidence, width: int, height: int, settings: DecoderSett
     rest = slots._replace(weight=np.where(clusters[0].member, 0, slots.weight))
     clusters.append(_cluster(rest, settings))
     votes = np.stack(_votes([cluster.vector.reshape(*shape, 2) for cluster in clusters],
-                            [cluster.mass.reshape(shape) > 0 for cluster in clusters], settings))
+                            [cluster.mass.reshape(shape) > 0 for cluster in clusters],
+                            _skips(evidence.vector), settings))
     votes = votes.reshape(2, -1) + [np.minimum(cluster.company, 1) for cluster in clusters]
     support = votes + [_expectation(cluster.vector, field, shape, settings)
                        for cluster in clusters]
@@ -235,14 +238,30 @@ def _limit(vector: np.ndarray, settings: DecoderSettings, share: float) -> np.nd
     return settings.agreement_slack + share * settings.agreement_tolerance * length
 
 
-def _votes(fields: list[np.ndarray], present: list[np.ndarray],
+def _skips(vector: np.ndarray) -> bool:
+    """Tell whether zero vectors (M, 2) are skipped macroblocks rather than measured motion.
+
+    An encoder short of bits skips macroblocks, which are exported with zero vectors: side by side
+    they look like a still picture. Where the camera stands most vectors are zero; where it moves
+    slowly all are short.
+    """
+    moved = np.any(vector != 0, axis=1)
+    if np.count_nonzero(moved) <= STANDING * len(moved):
+        return False
+    return float(np.median(np.hypot(*vector[moved].T))) > SLOW
+
+
+def _votes(fields: list[np.ndarray], present: list[np.ndarray], skips: bool,
            settings: DecoderSettings) -> list[np.ndarray]:
     """Return how many of the eight macroblocks around speak for each vector.
 
-    Each gives at most one vote, that of its vector which agrees best.
+    Each gives at most one vote, that of its vector which agrees best; with ``skips`` a zero
+    vector gives none.
     """
     fields = [np.where(here[..., None], vectors, ABSENT)
               for vectors, here in zip(fields, present, strict=True)]
+    voters = [np.where(np.any(vectors != 0, axis=-1, keepdims=True), vectors, ABSENT)
+              for vectors in fields] if skips else fields
     votes = []
     for vectors, here in zip(fields, present, strict=True):
         centre = vectors[1:-1, 1:-1]
@@ -250,7 +269,7 @@ def _votes(fields: list[np.ndarray], present: list[np.ndarray],
         total = np.zeros(here.shape, np.float32)
         for row, column in AROUND:
             part = (slice(1 + row, row - 1 or None), slice(1 + column, column - 1 or None))
-            gap = np.minimum(*(_square_gap(other[part], centre) for other in fields))
+            gap = np.minimum(*(_square_gap(other[part], centre) for other in voters))
             total[1:-1, 1:-1] += np.maximum(1 - gap * scale, 0)
         votes.append(np.where(here, total, -1))
     return votes

@@ -60,18 +60,10 @@ class DepthMap:
         mean = np.sum(rho * same, axis=1, keepdims=True) / np.maximum(
             same.sum(axis=1, keepdims=True), 1)
         weight = np.where(same, self.sigma(near, mean)**-2, 0.0)
-        offset = (self.x[near] - x[:, None]) / lattice.MACROBLOCK
-        M = np.concatenate([np.ones((*near.shape, 1)), offset], axis=2)
-        A = np.einsum('nki,nk,nkj->nij', M, weight, M)
-        b = np.einsum('nki,nk->ni', M, weight * rho)
-        known = same.sum(axis=1) >= MIN_NEIGHBOURS
-        # Blocks in one row make no plane: their normal equations are singular.
-        size = np.trace(A, axis1=1, axis2=2) / 3
-        known &= np.linalg.det(A) > 1e-4 * size**3
-        value, error = np.full(len(x), np.nan), np.full(len(x), np.nan)
-        inverse = np.linalg.inv(A[known])
-        value[known] = np.einsum('nj,nj->n', inverse[:, 0], b[known])
-        error[known] = np.sqrt(inverse[:, 0, 0])
+        dx, dy = np.moveaxis((self.x[near] - x[:, None]) / lattice.MACROBLOCK, 2, 0)
+        value, error = _at_origin(dx, dy, rho, weight)
+        unknown = same.sum(axis=1) < MIN_NEIGHBOURS
+        value[unknown] = error[unknown] = np.nan
         return value, error
 
     def sigma(self, near: np.ndarray, rho: np.ndarray) -> np.ndarray:
@@ -82,6 +74,24 @@ class DepthMap:
         """
         sigma = self.noise[near] * np.square(1 - rho * self.approach)
         return np.maximum(np.hypot(sigma, RELIEF * rho), 1e-12)
+
+
+def _at_origin(x, y, value, weight):
+    """Fit planes to N times K weighted values (N, K); return them at x = y = 0 and their errors.
+
+    NaN where the values lie in one row. Written out: N small matrices cost numpy far more.
+    """
+    w, wx, wy = weight, weight * x, weight * y
+    s, sx, sy = w.sum(axis=1), wx.sum(axis=1), wy.sum(axis=1)
+    sxx, sxy, syy = (wx * x).sum(axis=1), (wx * y).sum(axis=1), (wy * y).sum(axis=1)
+    # The first row of the adjugate of the normal equations.
+    first, second, third = sxx * syy - sxy**2, sxy * sy - sx * syy, sx * sxy - sxx * sy
+    determinant = s * first + sx * second + sy * third
+    size = (s + sxx + syy) / 3
+    determinant = np.where(determinant > 1e-4 * size**3, determinant, np.nan)
+    right = (w * value).sum(axis=1), (wx * value).sum(axis=1), (wy * value).sum(axis=1)
+    at = (first * right[0] + second * right[1] + third * right[2]) / determinant
+    return at, np.sqrt(first / determinant)
 
 
 @dataclass(frozen=True)

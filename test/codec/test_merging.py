@@ -135,3 +135,21 @@ def test_a_lone_vector_needs_the_pairs_before_to_speak_for_it(rng):
     np.testing.assert_allclose(vector, evidence.vector, atol=1e-4)
     assert len(agreed(evidence)[0]) < 8
     assert len(merging.consensus(evidence, WIDTH, HEIGHT, settings, field + 999)[0]) < 8
+
+
+def skipped(vector):
+    """A picture that moves, but for skipped macroblocks in its right half."""
+    return lattice(lambda x: np.where(x[:, :1] < WIDTH / 2, vector, (0, 0)))
+
+
+def test_skipped_macroblocks_do_not_support_each_other_where_the_picture_moves():
+    x, vector, _ = merging.consensus(skipped((6, 0)), WIDTH, HEIGHT, SETTINGS)
+    assert np.all(vector[:, 0] == 6)
+    assert np.all(x[:, 0] < WIDTH / 2)
+
+
+@pytest.mark.parametrize('evidence', [skipped((1, 0)), lattice(lambda x: 0 * x)])
+def test_zero_vectors_count_where_the_camera_stands_or_hardly_moves(evidence):
+    x, vector, _ = merging.consensus(evidence, WIDTH, HEIGHT, SETTINGS)
+    assert len(x) == len(evidence)
+    assert np.any(np.all(vector == 0, axis=1))
