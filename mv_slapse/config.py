@@ -136,6 +136,9 @@ class SceneSettings(Checked):
         'it: suspension, crown and bumps', 1e-4, 1.0)
     camera_height_time: float = setting(
         0.3, 's', 'for which that height stays wrong alike', 0.0)
+    camera_height_bias: float = setting(
+        0.015, '-', 'standard deviation of what of that height is wrong for good, as a share: '
+        'how it was measured, load, road that vectors show too near or too far', 0.0, 1.0)
     mounting_sigma: float = setting(
         0.01, 'rad', 'standard deviation of the ground normal in a mounted camera from key frame '
         'to key frame: pitch and roll on the suspension', 1e-4, 1.0)
@@ -155,8 +158,14 @@ class SceneSettings(Checked):
         0.02, '-', 'error of the depth of a whole surface in one pair, as a share of it: encoders '
         'pull its vectors the same way; 1 to 2.4 % was measured on road', 0.0, 1.0)
     dependence: float = setting(
-        6.0, '-', 'neighbouring motion vectors err together: so many tell as much as one '
-        'independent one', 1.0)
+        3.0, '-', 'neighbouring motion vectors err together: so many tell as much as one '
+        'independent one before the stream has shown it', 1.0)
+    depth_dependence: float = setting(
+        6.0, '-', 'the same along epipolar lines, where the relief of a surface errs together '
+        'as well', 1.0)
+    vector_bias: float = setting(
+        0.02, 'px', 'error that all vectors of a pair share, which no averaging removes, and as '
+        'much again that all pairs share: 0.01 to 0.04 was measured', 1e-4, 10.0)
     ratio_sigma: float = setting(
         0.006, '-', 'common error of the depths of one pair, as a share: 0.5 % was measured',
         1e-4, 1.0)

@@ -11,12 +11,18 @@ from scipy.special import gammaincinv
 
 
 class State:
-    """Mean and covariance with named blocks, such as ``'camera'`` and one for each plane id."""
+    """Mean and covariance with named blocks, such as ``'camera'`` and one for each plane id.
 
-    def __init__(self):
+    ``lasting`` (n, m) is what errors that last, such as a wrong camera height, have done to the
+    mean: one column for each, for one standard deviation of it. They are not estimated (a Schmidt
+    or consider filter): ``P`` is what random errors leave, and the sum is in ``total``.
+    """
+
+    def __init__(self, n_lasting: int = 0):
         """Start without blocks."""
         self.mu = np.zeros(0)
         self.P = np.zeros((0, 0))
+        self.lasting = np.zeros((0, n_lasting))
         self._blocks: dict[Hashable, slice] = {}
 
     def __contains__(self, name: Hashable) -> bool:
@@ -31,9 +37,15 @@ class State:
         """Return where a block lies in mu and P."""
         return self._blocks[name]
 
+    @property
+    def total(self) -> np.ndarray:
+        """Return the covariance with lasting errors in it."""
+        return self.P + self.lasting @ self.lasting.T
+
     def covariance(self, name: Hashable, other: Hashable | None = None) -> np.ndarray:
         """Return the covariance of a block, or of a block (rows) with another (columns)."""
-        return self.P[self._blocks[name], self._blocks[name if other is None else other]]
+        rows, columns = self._blocks[name], self._blocks[name if other is None else other]
+        return self.P[rows, columns] + self.lasting[rows] @ self.lasting[columns].T
 
     def add(self, name: Hashable, mu: np.ndarray, P: np.ndarray):
         """Append a block that is independent of the rest."""
@@ -42,6 +54,7 @@ class State:
         n = len(self.mu)
         self._blocks[name] = slice(n, n + len(mu))
         self.mu = np.r_[self.mu, mu]
+        self.lasting = np.r_[self.lasting, np.zeros((len(mu), self.lasting.shape[1]))]
         self.P = np.block([[self.P, np.zeros((n, len(mu)))], [np.zeros((len(mu), n)), P]])
 
     def remove(self, name: Hashable):
@@ -49,6 +62,7 @@ class State:
         gone = self._blocks.pop(name)
         size = gone.stop - gone.start
         self.mu = np.delete(self.mu, gone)
+        self.lasting = np.delete(self.lasting, gone, 0)
         self.P = np.delete(np.delete(self.P, gone, 0), gone, 1)
         for other, at in self._blocks.items():
             if at.start > gone.start:
@@ -59,6 +73,7 @@ def predict(state: State, mu: np.ndarray, F: np.ndarray, Q: np.ndarray):
     """Move the state to its predicted mean mu = f(state.mu), where F = df/dmu at state.mu."""
     state.mu = mu
     state.P = _symmetric(F @ state.P @ F.T + Q)
+    state.lasting = F @ state.lasting
 
 
 def update(state: State, innovation: np.ndarray, H: np.ndarray, R: np.ndarray):
@@ -68,6 +83,7 @@ def update(state: State, innovation: np.ndarray, H: np.ndarray, R: np.ndarray):
     I_KH = np.eye(len(state.mu)) - K @ H
     state.mu = state.mu + K @ innovation
     state.P = _symmetric(I_KH @ state.P @ I_KH.T + K @ R @ K.T)
+    state.lasting = I_KH @ state.lasting
 
 
 def squared_distance(innovation: np.ndarray, S: np.ndarray) -> float:

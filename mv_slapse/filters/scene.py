@@ -12,10 +12,12 @@ from mv_slapse.filters import (
     scene_state,
     scene_update,
 )
+from mv_slapse.filters.scene_noise import Dependence
 from mv_slapse.filters.scene_observations import Observe
 from mv_slapse.filters.scene_state import AnchoredPlane, Pose, SceneState
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays
+from mv_slapse.planes import lattice
 from mv_slapse.records import (
     Extraction,
     Label,
@@ -26,6 +28,7 @@ from mv_slapse.records import (
     TrackingStatus,
 )
 import numpy as np
+from scipy import ndimage
 
 UP_CAM = np.array([0.0, -1.0, 0.0])
 GROUND_PATIENCE = 5  # key frames
@@ -43,7 +46,15 @@ class Progress:
 
 
 class SceneFilter:
-    """Follows the camera's pose and the stationary planes from extraction to extraction."""
+    """Follows the camera's pose and the stationary planes from extraction to extraction.
+
+    Attributes
+    ----------
+    distances : dict of float
+        Squared Mahalanobis distance of each known plane that the last pair showed from its
+        prediction, by its id: chi-square with 3 degrees of freedom where the filter is
+        consistent.
+    """
 
     def __init__(self, settings: SceneSettings):
         """Start before the first key frame."""
@@ -51,6 +62,8 @@ class SceneFilter:
         self._state: SceneState | None = None
         self._progress = Progress(0)
         self._map = scene_map.SceneMap()
+        self.distances: dict[int, float] = {}
+        self._dependence = Dependence(settings.dependence)
 
     def step(self, extraction: Extraction, handovers: Sequence[PlaneHandover] = ()):
         """Take in one key frame pair.
@@ -104,10 +117,12 @@ class SceneFilter:
             state.error.P[at, :] = 0
             state.error.P[:, at] = 0
             state.error.P[at, at] = np.eye(3) * 1e-4
+            state.error.lasting[at] = 0
         state.velocity, state.omega = np.zeros(3), np.zeros(3)
         prev, cur = state.at('previous'), state.at('current')
         state.error.P[prev, :] = state.error.P[cur, :]
         state.error.P[:, prev] = state.error.P[:, cur]
+        state.error.lasting[prev] = state.error.lasting[cur]
         self._progress.supported = extraction.stamp
         return TrackingStatus.OK, 'the camera stands still'
 
@@ -135,17 +150,21 @@ class SceneFilter:
 
     def _correct(self, extraction: Extraction):
         """Update with the pair's correspondences and with what is known of the scale."""
-        settings, first = self._settings, self._progress.supported is None
-        baseline = self._baseline(extraction)
-        known = scene_gate.consistent(self._state, extraction, settings)
+        first, baseline = self._progress.supported is None, self._baseline(extraction)
+        pair, plane_id = _stationary(extraction)
+        settings = self._measured(pair, extraction)
+        self.distances = scene_gate.distances(self._state, extraction, settings)
+        known = {id for id, squared in self.distances.items() if squared < settings.gate}
         ground = self._trusted_ground(extraction, known)
         shown = self._shown(extraction, baseline)
         ids = self._join(extraction, known, ground, baseline, shown)
-        pair, index = _observation(extraction, ids)
+        index = np.full(len(pair), -1)
+        for i, id in enumerate(ids):
+            index[plane_id == id] = i
         start = self._state.error_to(replace(self._state, current=shown))
         ratio_known = not first and np.isfinite(extraction.baseline_ratio_sigma)
         observations = [*self._rigid(extraction, ground, first),
-                        *self._ratio(extraction, ratio_known)]
+                        *self._ratio(extraction, ratio_known, settings)]
         self._state = scene_update.update(self._state, start, pair, index, ids, settings,
                                           observations)
         if not ratio_known:
@@ -217,12 +236,18 @@ class SceneFilter:
         return Pose(R_world_from_cam,
                     previous.t - R_world_from_cam @ motion.t_cur_from_prev * baseline)
 
-    def _ratio(self, extraction: Extraction, known: bool) -> list[Observe]:
+    def _measured(self, pair: two_view.Pair, extraction: Extraction) -> SceneSettings:
+        """Return the settings with what the stream has shown of its noise."""
+        motion = extraction.motion
+        self._dependence = self._dependence.seen(pair, motion.R_cur_from_prev,
+                                                 motion.t_cur_from_prev)
+        return replace(self._settings, dependence=self._dependence.value)
+
+    def _ratio(self, extraction: Extraction, known: bool, settings) -> list[Observe]:
         """Return the observation of the baseline by the one before, if it is known."""
         if not known:
             return []
-        settings = self._settings
-        sampling = extraction.baseline_ratio_sigma * np.sqrt(settings.dependence)
+        sampling = extraction.baseline_ratio_sigma * np.sqrt(settings.depth_dependence)
         scene_state.move_depth_scale(self._state, extraction.baseline_ratio,
                                      float(np.hypot(sampling, settings.ratio_drift)))
         return [partial(scene_observations.baseline_ratio, sigma=settings.ratio_sigma)]
@@ -238,7 +263,8 @@ class SceneFilter:
             dt = (extraction.stamp - extraction.previous_stamp) * 1e-9
             lasting = float(np.sqrt(1 + 2 * settings.camera_height_time / dt))
             return [partial(scene_observations.camera_height, ground=ground, height=height,
-                            sigma=settings.camera_height_sigma * height * lasting),
+                            sigma=settings.camera_height_sigma * height * lasting,
+                            lasting=settings.camera_height_bias * height),
                     partial(scene_observations.mounting, ground=ground,
                             sigma=settings.mounting_sigma),
                     partial(scene_observations.level_course, sigma=settings.course_sigma)]
@@ -276,10 +302,10 @@ class SceneFilter:
 
     def _estimate(self, extraction, status, reason) -> SceneEstimate:
         """Write the state down as a record."""
-        state, metric = self._state, self._progress.metric
+        state, metric, P = self._state, self._progress.metric, self._state.error.total
         cur = state.at('current')
         order = np.r_[cur.start + 3:cur.stop, cur.start:cur.start + 3]
-        pose_covariance = state.P[np.ix_(order, order)].copy()
+        pose_covariance = P[np.ix_(order, order)]
         # Errors turn about the camera's axes in the state, about those of {W} in the record.
         turn = np.eye(6)
         turn[3:, 3:] = state.current.R
@@ -288,19 +314,34 @@ class SceneFilter:
         return SceneEstimate(
             extraction.stamp, status, reason, state.current.R.copy(), state.current.t.copy(),
             turn @ pose_covariance @ turn.T, state.velocity.copy(), state.omega.copy(),
-            state.P[np.ix_(rates, rates)].copy(),
+            P[np.ix_(rates, rates)],
             ScaleStatus.METRIC if metric else ScaleStatus.UNKNOWN, source,
             self._map.planes(state),
             float(np.linalg.norm(state.current.t - state.previous.t)))
 
 
-def _observation(extraction: Extraction, ids: list[int]):
-    """Return the stationary correspondences and the position in ``ids`` of each one's plane."""
+def _stationary(extraction: Extraction):
+    """Return the stationary correspondences and the plane id of each (N,)."""
     stationary = ((extraction.label == Label.STATIONARY) | (extraction.label == Label.INFINITY))
+    stationary &= ~_beside_movers(extraction)
     x_cur, x_prev = (x[stationary].astype(float) for x in (extraction.x_cur, extraction.x_prev))
     pair = two_view.Pair(to_rays(extraction.K, x_cur), to_rays(extraction.K, x_prev), x_prev,
                          extraction.sigma[stationary].astype(float), extraction.K)
-    index = np.full(len(pair), -1)
-    for i, id in enumerate(ids):
-        index[extraction.plane_id[stationary] == id] = i
-    return pair, index
+    return pair, extraction.plane_id[stationary]
+
+
+def _beside_movers(extraction: Extraction) -> np.ndarray:
+    """Return the blocks (N,) on no plane that touch a macroblock of a mover.
+
+    Half of them are the mover's own, and one that drives ahead along the camera's way nearly
+    keeps the epipolar geometry: the turn of each pair would lean by half a standard deviation.
+    """
+    moving = extraction.label == Label.MOVING
+    if not moving.any():
+        return moving
+    shape = lattice.shape_of(extraction.width, extraction.height, lattice.MACROBLOCK)
+    cell = lattice.cells(extraction.x_cur, shape, lattice.MACROBLOCK)
+    taken = np.zeros(shape, bool)
+    taken[tuple(index[moving] for index in cell)] = True
+    near = ndimage.binary_dilation(taken, np.ones((3, 3)))[cell]
+    return near & (extraction.plane_id < 0)

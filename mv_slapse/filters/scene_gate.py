@@ -23,11 +23,11 @@ def ground_plane(extraction: Extraction) -> np.ndarray | None:
     return next((plane.plane for plane in extraction.planes if plane.is_ground), None)
 
 
-def consistent(state: SceneState, extraction: Extraction, settings: SceneSettings) -> set[int]:
-    """Return the ids of known planes whose observation agrees with the predicted state."""
-    return {plane.id for plane in extraction.planes
-            if plane.label == Label.STATIONARY and plane.id in state.planes
-            and squared_distance(state, plane, settings) < settings.gate}
+def distances(state: SceneState, extraction: Extraction,
+              settings: SceneSettings) -> dict[int, float]:
+    """Return the squared distance of each known plane from the predicted state, by its id."""
+    return {plane.id: squared_distance(state, plane, settings) for plane in extraction.planes
+            if plane.label == Label.STATIONARY and plane.id in state.planes}
 
 
 def squared_distance(state: SceneState, plane: PlaneObservation,
@@ -49,6 +49,6 @@ def squared_distance(state: SceneState, plane: PlaneObservation,
     H[:, state.at('previous')] = direction @ by_previous[3:]
     H[:, state.at('current')] = by_pose * length + direction @ by_current[3:]
     biased = settings.depth_bias * plane.plane
-    S = H @ state.P @ H.T + plane.covariance * settings.dependence + np.outer(biased, biased)
+    S = H @ state.P @ H.T + plane.covariance * settings.depth_dependence + np.outer(biased, biased)
     innovation = plane.plane - in_camera * length
     return ekf.squared_distance(innovation, S)

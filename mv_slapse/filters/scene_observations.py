@@ -18,18 +18,32 @@ import numpy as np
 
 
 class Observation(NamedTuple):
-    """Innovation z - h (m,), derivative H of h (m, n) by the error state, noise (m, m)."""
+    """Innovation z - h (m,), derivative H of h (m, n) by the error state, noise (m, m).
+
+    ``lasting`` (m, LASTING) is what one standard deviation of each lasting error does to z.
+    """
 
     innovation: np.ndarray
     H: np.ndarray
     noise: np.ndarray
+    lasting: np.ndarray | None = None
 
 
 Observe = Callable[[SceneState], Observation]
 
 
-def camera_height(state: SceneState, ground: int, height: float, sigma: float) -> Observation:
-    """Observe the camera's height [m] above the ground plane, which sets the scale."""
+def camera_height(state: SceneState, ground: int, height: float, sigma: float,
+                  lasting: float = 0.0) -> Observation:
+    """Observe the camera's height [m] above the ground plane, which sets the scale.
+
+    Parameters
+    ----------
+    state, ground : SceneState, int
+    height, sigma : float
+        The height and its random error [m].
+    lasting : float
+        The part of the height [m] that is wrong for good.
+    """
     plane = plane_in_camera(state, ground)
     by_pose, by_plane = plane_in_camera_jacobian(state, ground)
     depth = 1 / np.linalg.norm(plane)
@@ -37,7 +51,8 @@ def camera_height(state: SceneState, ground: int, height: float, sigma: float) -
     H = np.zeros((1, state.size))
     H[0, state.at('current')] = by_camera_plane @ by_pose
     H[0, state.at(ground)] = by_camera_plane @ by_plane
-    return Observation(np.array([height - depth]), H, np.eye(1) * sigma**2)
+    error = np.array([[0.0, 0.0, 0.0, lasting]])
+    return Observation(np.array([height - depth]), H, np.eye(1) * sigma**2, error)
 
 
 def mounting(state: SceneState, ground: int, sigma: float) -> Observation:

@@ -13,6 +13,7 @@ from mv_slapse.geometry import rotation
 import numpy as np
 
 CAMERA_BLOCKS = ('previous', 'current', 'velocity', 'omega')
+LASTING = 4  # errors that are not estimated: turn by which all vectors err, camera height
 
 
 @dataclass
@@ -51,7 +52,7 @@ class SceneState:
     mount: np.ndarray
     depth_scale: float = 0.0
     planes: dict[int, AnchoredPlane] = field(default_factory=dict)
-    error: ekf.State = field(default_factory=ekf.State)
+    error: ekf.State = field(default_factory=lambda: ekf.State(LASTING))
 
     @property
     def size(self) -> int:
@@ -209,6 +210,7 @@ def scale_lengths(state: SceneState, factor: float):
         D[state.at(id)] = 1 / factor
         plane.plane, plane.anchor = plane.plane / factor, plane.anchor * factor
     state.error.P = D[:, None] * state.error.P * D
+    state.error.lasting = D[:, None] * state.error.lasting
 
 
 def log_baseline(state: SceneState) -> tuple[float, np.ndarray]:

@@ -7,9 +7,10 @@ ones before have led, and lengths, which a pair alone leaves open, would contrad
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from mv_slapse.config import SceneSettings
-from mv_slapse.filters.scene_observations import Observe
+from mv_slapse.filters.scene_observations import Observation, Observe
 from mv_slapse.filters.scene_state import (
     observation_jacobian,
     plane_in_camera,
@@ -18,6 +19,23 @@ from mv_slapse.filters.scene_state import (
 )
 from mv_slapse.geometry import two_view
 import numpy as np
+
+
+class Information(NamedTuple):
+    """Normal equations: matrix (n, n), vector (n,), and what lasting errors add to the vector."""
+
+    matrix: np.ndarray
+    vector: np.ndarray
+    lasting: np.ndarray
+
+    def joined(self, observation: Observation) -> 'Information':
+        """Return it with one more observation."""
+        weighted = np.linalg.solve(observation.noise, observation.H).T
+        lasting = self.lasting
+        if observation.lasting is not None:
+            lasting = lasting + weighted @ observation.lasting
+        return Information(self.matrix + weighted @ observation.H,
+                           self.vector + weighted @ observation.innovation, lasting)
 
 
 def update(state: SceneState, start: np.ndarray, pair: two_view.Pair, index: np.ndarray,
@@ -46,29 +64,31 @@ def update(state: SceneState, start: np.ndarray, pair: two_view.Pair, index: np.
     """
     e, moved = start, state.moved(start)
     for step in range(settings.iterations):
-        information, vector = _of_pair(moved, pair, index, ids, settings, step == 0)
+        told = _of_pair(moved, pair, index, ids, settings, step == 0)
         for observe in observations:
-            innovation, H, noise = observe(moved)
-            weighted = np.linalg.solve(noise, H).T
-            information, vector = information + weighted @ H, vector + weighted @ innovation
-        L = np.linalg.inv(np.eye(state.size) + state.P @ information)
-        e_new = L @ state.P @ (vector + information @ e)
+            told = told.joined(observe(moved))
+        L = np.linalg.inv(np.eye(state.size) + state.P @ told.matrix)
+        e_new = L @ state.P @ (told.vector + told.matrix @ e)
         moved = state.moved(e_new)
         done, e = np.max(np.abs(e_new - e)) < 1e-6, e_new
         if done:
             break
     gain = L @ state.P
-    P = gain @ L.T + gain @ information @ gain.T
+    P = gain @ L.T + gain @ told.matrix @ gain.T
     moved.error.P = 0.5 * (P + P.T)
+    moved.error.lasting = L @ moved.error.lasting + gain @ told.lasting
     return moved
 
 
 def _of_pair(state: SceneState, pair, index, ids, settings: SceneSettings, first: bool):
-    """Return information (n, n) and vector (n,) of the correspondences at a state."""
+    """Return the Information of the correspondences at a state."""
     R, t = relative_motion(state)
     planes = np.array([plane_in_camera(state, id) for id in ids]).reshape(-1, 3)
     A, b, _ = two_view.normal_equations(
         pair, R, t, planes, index, settings.relief, width=6.0 if first else 3.0,
-        bias=settings.depth_bias, dependence=settings.dependence)
+        bias=settings.depth_bias, offset=settings.vector_bias,
+        dependence=(settings.dependence, settings.depth_dependence))
     G = observation_jacobian(state, ids)
-    return G.T @ A @ G, G.T @ b
+    turn = A[:, :3] * settings.vector_bias / pair.focal.mean()
+    lasting = np.c_[G.T @ turn, np.zeros(state.size)]
+    return Information(G.T @ A @ G, G.T @ b, lasting)

@@ -61,7 +61,8 @@ def epipolar_terms(pair: Pair, R, t, width: float):
     return weighted.T @ J, -weighted.T @ error, float(np.sum(m2 / (1 + m2 / width**2)))
 
 
-def plane_terms(pair: Pair, R, t, plane, relief: float, width: float):
+def plane_terms(pair: Pair, R, t, plane, relief: float, width: float,
+                dependence=(1.0, 1.0)):
     """Return normal equations of the homography errors of one plane by (w, t, plane).
 
     Parameters
@@ -71,6 +72,8 @@ def plane_terms(pair: Pair, R, t, plane, relief: float, width: float):
         epipolar line it adds this share of the parallax to the noise.
     width : float
         Kernel width, as in epipolar_terms.
+    dependence : (float, float)
+        See normal_equations.
 
     Returns
     -------
@@ -80,8 +83,9 @@ def plane_terms(pair: Pair, R, t, plane, relief: float, width: float):
     """
     predicted, J = homography.plane_transfer_jacobian(pair.rays_cur, pair.K, R, t, plane)
     error = pair.x_prev - predicted
-    W = plane_weights(pair, R, predicted, relief)
-    m2 = np.einsum('ni,nij,nj->n', error, W, error)
+    across, along = plane_weights(pair, R, predicted, relief)
+    m2 = np.einsum('ni,nij,nj->n', error, across + along, error)
+    W = across / dependence[0] + along / dependence[1]
     W = W / np.square(1 + m2 / width**2)[:, None, None]
     WJ = W @ J
     flat = J.reshape(-1, 9)
@@ -89,14 +93,18 @@ def plane_terms(pair: Pair, R, t, plane, relief: float, width: float):
             float(np.sum(m2 / (1 + m2 / width**2))))
 
 
-def plane_weights(pair: Pair, R, predicted, relief: float) -> np.ndarray:
-    """Return inverse covariances (N, 2, 2) of x_prev on a plane with relief [1/px^2]."""
+def plane_weights(pair: Pair, R, predicted, relief: float):
+    """Return inverse covariances (N, 2, 2) of x_prev across and along epipolar lines [1/px^2].
+
+    Their sum is the inverse covariance on a plane with relief.
+    """
     at_infinity = pair.rays_cur @ R
-    along = predicted - (at_infinity[:, :2] / at_infinity[:, 2:] * pair.focal + pair.K[:2, 2])
+    parallax = predicted - (at_infinity[:, :2] / at_infinity[:, 2:] * pair.focal + pair.K[:2, 2])
     variance = pair.sigma**2
-    gain = relief**2 / (variance + relief**2 * np.sum(along**2, axis=1))
-    outer = along[:, :, None] * along[:, None, :]
-    return (np.eye(2) - gain[:, None, None] * outer) / variance[:, None, None]
+    square = np.maximum(np.sum(parallax**2, axis=1), 1e-18)
+    outer = parallax[:, :, None] * (parallax / square[:, None])[:, None, :]
+    along = outer / (variance + relief**2 * square)[:, None, None]
+    return (np.eye(2) - outer) / variance[:, None, None], along
 
 
 def without_bias(A: np.ndarray, b: np.ndarray, plane: np.ndarray, bias: float):
@@ -113,8 +121,22 @@ def without_bias(A: np.ndarray, b: np.ndarray, plane: np.ndarray, bias: float):
     return A - np.outer(column, column) / own, b - column * (plane @ b[6:]) / own
 
 
+def without_turn(A: np.ndarray, b: np.ndarray, sigma: float):
+    """Marginalise a common error of all vectors out of normal equations.
+
+    An offset of all vectors is a turn of the camera by some ``sigma`` [rad]; what remains knows
+    the rotation no better.
+    """
+    if not sigma:
+        return A, b
+    columns = A[:, :3]
+    own = A[:3, :3] + np.eye(3) / sigma**2
+    gain = np.linalg.solve(own, columns.T).T
+    return A - gain @ columns.T, b - gain @ b[:3]
+
+
 def normal_equations(pair: Pair, R, t, planes, index, relief: float, width: float, *,
-                     bias: float = 0.0, dependence: float = 1.0):
+                     bias: float = 0.0, dependence=(1.0, 1.0), offset: float = 0.0):
     """Return the normal equations of (10) by (w, t, plane 0, plane 1, ...).
 
     Parameters
@@ -127,8 +149,11 @@ def normal_equations(pair: Pair, R, t, planes, index, relief: float, width: floa
         See plane_terms.
     bias : float
         See without_bias.
-    dependence : float
-        Correspondences that together tell as much as one independent one does.
+    dependence : (float, float)
+        Correspondences that together tell as much as one independent one does, across epipolar
+        lines and, where relief errs together too, along them.
+    offset : float
+        Error that all vectors share [px], see without_turn.
 
     Returns
     -------
@@ -139,12 +164,12 @@ def normal_equations(pair: Pair, R, t, planes, index, relief: float, width: floa
     size = 6 + 3 * len(planes)
     A, b = np.zeros((size, size)), np.zeros(size)
     A[:6, :6], b[:6], cost = epipolar_terms(pair[index < 0], R, t, width)
-    A, b = A / dependence, b / dependence
+    A, b = A / dependence[0], b / dependence[0]
     for i, plane in enumerate(planes):
-        A_i, b_i, cost_i = plane_terms(pair[index == i], R, t, plane, relief, width)
-        A_i, b_i = without_bias(A_i / dependence, b_i / dependence, plane, bias)
+        A_i, b_i, cost_i = plane_terms(pair[index == i], R, t, plane, relief, width, dependence)
+        A_i, b_i = without_bias(A_i, b_i, plane, bias)
         at = np.r_[0:6, 6 + 3 * i:9 + 3 * i]
         A[np.ix_(at, at)] += A_i
         b[at] += b_i
         cost += cost_i
-    return A, b, cost
+    return *without_turn(A, b, offset / pair.focal.mean()), cost

@@ -84,3 +84,32 @@ def test_squared_distance_counts_standard_deviations():
 def test_bound_is_the_quantile_of_chi_square():
     for dof in (1, 3, 6):
         assert ekf.chi2_bound(0.999, dof) == pytest.approx(chi2.ppf(0.999, dof))
+
+
+def test_lasting_errors_go_through_the_filter_as_a_shift_of_the_mean_does(rng, state):
+    """What errors that last do to the mean, against a twin with a mean so shifted."""
+    shift = rng.normal(size=9)
+    lasting = ekf.State(1)
+    lasting.add('all', state.mu, state.P)
+    lasting.lasting[:] = shift[:, None]
+    shifted = ekf.State()
+    shifted.add('all', state.mu + shift, state.P)
+    F, H, z = rng.normal(size=(9, 9)), rng.normal(size=(2, 9)), rng.normal(size=2)
+    for twin in (lasting, shifted):
+        ekf.predict(twin, F @ twin.mu, F, np.eye(9))
+        ekf.update(twin, z - H @ twin.mu, H, np.eye(2))
+    np.testing.assert_allclose(shifted.mu - lasting.mu, lasting.lasting[:, 0])
+    np.testing.assert_allclose(lasting.P, shifted.P)
+    np.testing.assert_allclose(lasting.total - lasting.P, np.outer(lasting.lasting,
+                                                                   lasting.lasting))
+    np.testing.assert_allclose(lasting.covariance('all'), lasting.total)
+
+
+def test_blocks_come_and_go_with_their_lasting_errors():
+    state = ekf.State(2)
+    state.add('a', np.zeros(1), np.eye(1))
+    state.add('b', np.zeros(2), np.eye(2))
+    state.lasting = np.arange(6.0).reshape(3, 2)
+    state.remove('a')
+    np.testing.assert_array_equal(state.lasting, [[2, 3], [4, 5]])
+    np.testing.assert_array_equal(state.covariance('b'), [[14, 23], [23, 42]])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import canyon as canyon_views
 from mv_slapse.config import SceneSettings
-from mv_slapse.filters.scene import _observation, GROUND_PATIENCE, SceneFilter
+from mv_slapse.filters.scene import _stationary, GROUND_PATIENCE, SceneFilter
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
 from mv_slapse.records import Label, MotionStatus, PlaneHandover, ScaleStatus, TrackingStatus
@@ -70,7 +70,7 @@ def test_pose_covariance_is_about_the_axes_of_the_world():
     J = jacobian(pose, np.zeros(state.size))
     scale = np.sqrt(np.diag(last.pose_covariance))
     np.testing.assert_allclose(last.pose_covariance / np.outer(scale, scale),
-                               J @ state.P @ J.T / np.outer(scale, scale), atol=1e-4)
+                               J @ state.error.total @ J.T / np.outer(scale, scale), atol=1e-4)
 
 
 def test_with_noise_the_trajectory_stays_within_a_bound(rng):
@@ -263,13 +263,29 @@ def test_a_ground_found_later_makes_the_scale_metric():
 def test_the_filter_sees_what_stands_and_what_is_far_and_nothing_else():
     extraction = Canyon().extraction(3)
     label = extraction.label.copy()
-    label[::3], label[1::6] = Label.MOVING, Label.UNKNOWN
-    pair, index = _observation(replace(extraction, label=label), [WALL])
-    used = label >= 0
-    used[::3] = False
+    label[extraction.plane_id == GROUND] = Label.MOVING
+    label[1::6] = Label.UNKNOWN
+    pair, plane_id = _stationary(replace(extraction, label=label))
+    used = (label == Label.STATIONARY) | (label == Label.INFINITY)
     np.testing.assert_array_equal(pair.x_prev, extraction.x_prev[used])
-    np.testing.assert_array_equal(index == 0, extraction.plane_id[used] == WALL)
-    assert np.any(label[used] == Label.INFINITY)
+    np.testing.assert_array_equal(plane_id, extraction.plane_id[used])
+
+
+def test_what_touches_a_mover_and_is_on_no_plane_is_left_out():
+    extraction = Canyon().extraction(3)
+    label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
+    cell = (extraction.x_cur // 16).astype(int)
+    label[np.all(cell == (20, 15), axis=1)] = Label.MOVING
+    label[np.all(cell == (21, 16), axis=1)] = Label.STATIONARY
+    label[np.all(cell == (22, 15), axis=1)] = Label.STATIONARY
+    plane_id[np.all(np.abs(cell - (20, 15)) <= 2, axis=1)] = -1
+    plane_id[np.all(cell == (19, 15), axis=1)] = WALL
+    pair, _ = _stationary(replace(extraction, label=label, plane_id=plane_id))
+    kept = {tuple(x) for x in pair.x_prev}
+    seen = {tuple(at) for at, x in zip(cell, extraction.x_prev, strict=True) if tuple(x) in kept}
+    touching = {(x, y) for x in (19, 20, 21) for y in (14, 15, 16)} & {tuple(c) for c in cell}
+    assert touching & seen == {(19, 15)}
+    assert (22, 15) in seen
 
 
 def test_a_road_that_may_slope_is_less_sure_of_its_normal():

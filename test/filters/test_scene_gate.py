@@ -45,7 +45,7 @@ def test_distance_is_that_of_the_numerical_derivative(rng, state):
     plane = seen(state, rng.normal(0, 0.02, 3))
     H = jacobian(lambda e: in_baselines(state.moved(e)), np.zeros(state.size))
     bias = SETTINGS.depth_bias * plane.plane
-    S = (H @ state.P @ H.T + SETTINGS.dependence * plane.covariance + np.outer(bias, bias))
+    S = (H @ state.P @ H.T + SETTINGS.depth_dependence * plane.covariance + np.outer(bias, bias))
     innovation = plane.plane - in_baselines(state)
     assert scene_gate.squared_distance(state, plane, SETTINGS) == pytest.approx(
         innovation @ np.linalg.solve(S, innovation), rel=1e-5)
@@ -56,14 +56,16 @@ def test_without_a_baseline_nothing_can_be_compared(state):
     assert scene_gate.squared_distance(state, seen(state), SETTINGS) == np.inf
 
 
-def test_only_known_stationary_planes_that_agree_are_consistent(rng, state):
+def test_only_known_stationary_planes_have_a_distance(rng, state):
     far = seen(state, 50.0)
     extraction = made_up.extraction(rng)
-    for plane, expected in ((seen(state), {4}), (far, set()),
-                            (seen(state, label=Label.MOVING), set()),
-                            (replace(seen(state), id=5), set())):
-        assert scene_gate.consistent(state, replace(extraction, planes=(plane,)),
-                                     SETTINGS) == expected
+    for plane, expected in ((seen(state), [4]), (far, [4]), (replace(seen(state), id=5), []),
+                            (seen(state, label=Label.MOVING), [])):
+        found = scene_gate.distances(state, replace(extraction, planes=(plane,)), SETTINGS)
+        assert list(found) == expected
+        assert all(found[id_] == scene_gate.squared_distance(state, plane, SETTINGS)
+                   for id_ in expected)
+    assert scene_gate.squared_distance(state, far, SETTINGS) > SETTINGS.gate
 
 
 def test_the_ground_is_named_where_it_is_seen(rng, state):

@@ -10,6 +10,7 @@ import pytest
 ROAD = 4
 OBSERVATIONS = {
     'camera height': lambda s: scene_observations.camera_height(s, ROAD, 1.65, 0.03),
+    'height wrong for good': lambda s: scene_observations.camera_height(s, ROAD, 1.65, 0.03, 0.02),
     'mounting': lambda s: scene_observations.mounting(s, ROAD, 0.01),
     'unit baseline': lambda s: scene_observations.unit_baseline(s, 1e-3),
     'baseline ratio': lambda s: scene_observations.baseline_ratio(s, 0.006),
@@ -31,7 +32,7 @@ def state(rng):
 @pytest.mark.parametrize('name', OBSERVATIONS)
 def test_each_jacobian_is_the_numerical_one_of_its_innovation(state, name):
     observe = OBSERVATIONS[name]
-    _, H, noise = observe(state)
+    _, H, noise, _ = observe(state)
     numerical = -jacobian(lambda e: observe(state.moved(e)).innovation, np.zeros(state.size))
     # The mount is a unit vector: an error along itself does not count.
     at, along = state.at('mount'), np.outer(state.mount, state.mount)
@@ -47,6 +48,8 @@ def test_innovations_by_hand():
     state.depth_scale = 0.5
     innovation = {name: observe(state).innovation for name, observe in OBSERVATIONS.items()}
     np.testing.assert_allclose(innovation['camera height'], [1.65 - 2.0])
+    assert OBSERVATIONS['camera height'](state).lasting.tolist() == [[0, 0, 0, 0]]
+    assert OBSERVATIONS['height wrong for good'](state).lasting.tolist() == [[0, 0, 0, 0.02]]
     np.testing.assert_allclose(innovation['mounting'], 0, atol=1e-12)
     np.testing.assert_allclose(innovation['unit baseline'], [-np.log(np.hypot(0.3, 2))])
     np.testing.assert_allclose(innovation['baseline ratio'], [np.log(np.hypot(0.3, 2)) - 0.5])

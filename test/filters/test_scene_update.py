@@ -1,18 +1,21 @@
 """Corrections of the scene: the maximum of the posterior of all that a pair tells."""
 
+from dataclasses import replace
 from functools import partial
 
-from canyon import angle_between, CANYON, motion, turn_between, views
+from canyon import angle_between, CANYON, K, motion, turn_between, views
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf, scene_observations, scene_state, scene_update
 from mv_slapse.filters.scene_state import AnchoredPlane, Pose
 from mv_slapse.geometry import rotation, two_view
+from mv_slapse.geometry.camera import to_pixels
 from numeric import jacobian
 import numpy as np
 import pytest
 
 ROAD, IDS = 4, [4, 9, 11, 13]
-SIMPLE = SceneSettings(relief=0.0, depth_bias=0.0, dependence=1.0, iterations=20)
+SIMPLE = SceneSettings(relief=0.0, depth_bias=0.0, dependence=1.0, depth_dependence=1.0,
+                       vector_bias=1e-4, iterations=20)
 
 
 def state_before(scene, rng, pose_sigma=0.02):
@@ -186,9 +189,35 @@ def test_without_planes_direction_and_turn_are_corrected_and_the_length_is_not(r
 
 def test_dependence_and_bias_widen_the_covariance(rng, scene):
     traces = [np.trace(updated(scene, state_before(scene, rng), settings).P[6:12, 6:12])
-              for settings in (SIMPLE, SceneSettings(relief=0, depth_bias=0, dependence=8.0),
-                               SceneSettings(relief=0, depth_bias=0.1, dependence=8.0))]
-    assert traces[0] < traces[1] < traces[2]
+              for settings in (SIMPLE, replace(SIMPLE, dependence=8.0),
+                               replace(SIMPLE, dependence=8.0, depth_dependence=8.0),
+                               replace(SIMPLE, dependence=8.0, depth_dependence=8.0,
+                                       depth_bias=0.1))]
+    assert traces[0] < traces[1] < traces[2] < traces[3]
+
+
+def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
+    """A turn of all vectors, and a wrong height, against their columns in the state."""
+    settings = replace(SIMPLE, vector_bias=0.05)
+
+    def posterior(turn, height):
+        rays = scene.pair.rays_prev @ rotation.exp(-turn).T
+        pair = replace(scene.pair, rays_prev=rays, x_prev=to_pixels(K, rays))
+        state = state_before(scene, np.random.default_rng(1))
+        found = scene_update.update(
+            state, np.zeros(state.size), pair, scene.surface, IDS, settings,
+            [partial(scene_observations.camera_height, ground=ROAD, height=height, sigma=0.03,
+                     lasting=0.02)])
+        return state.error_to(found)[6:12], found
+
+    base, found = posterior(np.zeros(3), 1.65)
+    size = 0.05 / np.mean([K[0, 0], K[1, 1]])
+    shifts = [posterior(scene.R.T @ (turn * size), 1.65)[0] - base for turn in np.eye(3)]
+    shifts.append(posterior(np.zeros(3), 1.67)[0] - base)
+    columns = found.error.lasting[found.at('current')]
+    scale = np.sqrt(np.diag(found.error.total))[6:12, None]
+    np.testing.assert_allclose(columns / scale, np.transpose(shifts) / scale, atol=0.1)
+    assert np.all(np.abs(columns / scale).max(axis=0) > 0.1)
 
 
 def test_common_errors_of_depths_do_not_add_up(scene):

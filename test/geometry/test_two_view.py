@@ -62,7 +62,7 @@ def test_plane_vector_is_minus_half_the_gradient_of_the_cost(noisy):
 def test_relief_leaves_the_gradient_that_of_the_cost_with_weights_held(noisy):
     pair, plane, relief = noisy.pair[noisy.surface == WALL], CANYON[WALL], 0.05
     predicted = homography.plane_transfer(pair.rays_cur, K, noisy.R, noisy.t, plane)
-    W = two_view.plane_weights(pair, noisy.R, predicted, relief)
+    W = sum(two_view.plane_weights(pair, noisy.R, predicted, relief))
 
     def cost(p):
         e = pair.x_prev - homography.plane_transfer(pair.rays_cur, K, *moved(noisy, p),
@@ -95,8 +95,33 @@ def test_plane_weights_invert_the_covariance_of_noise_and_relief(noisy):
                       for plane in (CANYON[WALL], np.zeros(3)))
     along = relief * (predicted - far)
     covariance = (pair.sigma**2)[:, None, None] * np.eye(2) + along[:, :, None] * along[:, None]
-    np.testing.assert_allclose(two_view.plane_weights(pair, noisy.R, predicted, relief),
-                               np.linalg.inv(covariance), rtol=1e-6, atol=1e-9)
+    across, lengthwise = two_view.plane_weights(pair, noisy.R, predicted, relief)
+    np.testing.assert_allclose(across + lengthwise, np.linalg.inv(covariance), rtol=1e-6,
+                               atol=1e-9)
+    np.testing.assert_allclose(np.einsum('nij,nj->ni', across, along), 0, atol=1e-9)
+    assert np.linalg.matrix_rank(lengthwise, tol=1e-6).max() == 1
+
+
+def test_errors_in_common_take_weight_off_across_and_along_the_line_by_themselves(noisy):
+    pair, plane = noisy.pair[noisy.surface == WALL], CANYON[WALL]
+    (one, *_), (across, *_), (along, *_), (both, *_) = (
+        two_view.plane_terms(pair, noisy.R, noisy.t, plane, 0.03, 3.0, dependence)
+        for dependence in ((1, 1), (4, 1), (1, 4), (4, 4)))
+    np.testing.assert_allclose(both, one / 4, rtol=1e-9)
+    np.testing.assert_allclose(across + along, one + both, rtol=1e-6, atol=1e-9 * one.max())
+
+
+def test_without_turn_is_the_solution_with_a_turn_of_all_vectors_as_unknown(rng):
+    (A, b), sigma = random_normal_equations(rng), 0.3
+    full = np.block([[A, A[:, :3]], [A[:3], A[:3, :3] + np.eye(3) / sigma**2]])
+    A_left, b_left = two_view.without_turn(A, b, sigma)
+    np.testing.assert_allclose(np.linalg.solve(A_left, b_left),
+                               np.linalg.solve(full, np.r_[b, b[:3]])[:9])
+    # What is left knows the turn no better than the error that all vectors share.
+    np.testing.assert_allclose(np.linalg.inv(A_left)[:3, :3] - np.linalg.inv(A)[:3, :3],
+                               sigma**2 * np.eye(3), atol=1e-9)
+    for same, old in zip(two_view.without_turn(A, b, 0.0), (A, b), strict=True):
+        np.testing.assert_array_equal(same, old)
 
 
 def test_without_bias_is_the_solution_with_the_bias_as_one_more_unknown(rng):
@@ -122,18 +147,20 @@ def test_no_bias_changes_nothing_and_a_large_one_hides_the_planes_scale(rng):
 def test_equations_of_a_pair_are_the_sum_of_its_parts(noisy):
     arguments = noisy.R, noisy.t
     A, b, cost = two_view.normal_equations(noisy.pair, *arguments, CANYON, noisy.surface, 0.03,
-                                           3.0, bias=0.04, dependence=5.0)
+                                           3.0, bias=0.04, dependence=(5.0, 7.0),
+                                           offset=0.2)
     sky = two_view.epipolar_terms(noisy.pair[noisy.surface == SKY], *arguments, 3.0)
     A_sum, b_sum, cost_sum = np.zeros((18, 18)), np.zeros(18), sky[2]
     A_sum[:6, :6], b_sum[:6] = sky[0] / 5, sky[1] / 5
     for i, plane in enumerate(CANYON):
         A_i, b_i, cost_i = two_view.plane_terms(noisy.pair[noisy.surface == i], *arguments, plane,
-                                                0.03, 3.0)
-        A_i, b_i = two_view.without_bias(A_i / 5, b_i / 5, plane, 0.04)
+                                                0.03, 3.0, (5.0, 7.0))
+        A_i, b_i = two_view.without_bias(A_i, b_i, plane, 0.04)
         pick = np.zeros((9, 18))
         pick[:6, :6], pick[6:, 6 + 3 * i:9 + 3 * i] = np.eye(6), np.eye(3)
         A_sum, b_sum, cost_sum = A_sum + pick.T @ A_i @ pick, b_sum + pick.T @ b_i, (
             cost_sum + cost_i)
+    A_sum, b_sum = two_view.without_turn(A_sum, b_sum, 0.2 / np.mean([K[0, 0], K[1, 1]]))
     np.testing.assert_allclose(A, A_sum, atol=1e-12 * np.abs(A).max())
     np.testing.assert_allclose(b, b_sum, atol=1e-12 * np.abs(b).max())
     assert cost == pytest.approx(cost_sum)

@@ -1,0 +1,95 @@
+"""Errors of motion vectors as encoders make them, on exact correspondences: for filter tests.
+
+Encoders do not err at random: neighbours share their error, a surface as a whole looks too near
+or too far, all vectors of a stream lean a little one way, and some are plainly wrong.
+"""
+
+from dataclasses import dataclass, replace
+
+from mv_slapse.config import Checked, setting
+from mv_slapse.geometry.camera import to_pixels, to_rays
+from mv_slapse.geometry.rotation import exp
+from mv_slapse.records import Correspondences
+from mv_slapse.simulation.drawn import BLOCK, draw, SEARCH
+from mv_slapse.simulation.street import Street
+from mv_slapse.simulation.surfaces import SKY
+import numpy as np
+from scipy import ndimage
+
+
+@dataclass(frozen=True)
+class VectorNoise(Checked):
+    """Sizes of the errors; the defaults are about what was measured on real streams."""
+
+    sigma: float = setting(0.3, 'px', 'standard deviation of a right vector', 0.0, 10.0)
+    together: float = setting(
+        0.1, '-', 'share of its variance that a block has in common with its neighbours', 0.0, 1.0)
+    outliers: float = setting(0.1, '-', 'share of wrong vectors', 0.0, 1.0)
+    relief: float = setting(
+        0.03, '-', 'depth of a block about its surface, as a share of depth', 0.0, 1.0)
+    surface_bias: float = setting(
+        0.01, '-', 'share by which a whole surface looks too near in one pair', 0.0, 1.0)
+    depth_bias: float = setting(
+        0.01, '-', 'share by which everything looks too near in all pairs', 0.0, 1.0)
+    offset: float = setting(
+        0.02, 'px', 'error that all vectors of a pair share, and again that all pairs share', 0.0,
+        10.0)
+
+
+class NoisyVectors:
+    """Draws the correspondences of a street, pair after pair, with errors that last."""
+
+    def __init__(self, street: Street, noise: VectorNoise, rng: np.random.Generator):
+        """Draw what lasts over the pairs."""
+        self._street, self._noise, self._rng = street, noise, rng
+        self._turn = rng.normal(0, self._turn_sigma, 3)
+        self._depth = rng.normal(0, noise.depth_bias)
+
+    @property
+    def _turn_sigma(self) -> float:
+        """Return the turn [rad] that the offset amounts to."""
+        return self._noise.offset / self._street.camera.K[0, 0]
+
+    def pair(self, i: int, j: int) -> Correspondences:
+        """Return what a codec would tell of frames i (previous) and j (current)."""
+        noise, rng = self._noise, self._rng
+        drawn = draw(self._street, i, j, rng, 0.0, 0.0)
+        x_cur = drawn.correspondences.x_cur.astype(float)
+        x_prev = self._turned(drawn.x_true)
+        x_prev += noise.sigma * self._common(x_cur)
+        x_prev += self._share(drawn.surface)[:, None] * self._parallax(i, j, x_cur, drawn.x_true)
+        wrong = rng.uniform(size=len(x_cur)) < noise.outliers
+        x_prev[wrong] = drawn.x_true[wrong] + rng.uniform(-SEARCH, SEARCH, (wrong.sum(), 2))
+        return replace(
+            drawn.correspondences, x_prev=x_prev.astype(np.float32),
+            sigma=np.full(len(x_cur), max(noise.sigma, 1e-3), np.float32),
+            probability=np.full(len(x_cur), 1 - noise.outliers, np.float32))
+
+    def _turned(self, x: np.ndarray) -> np.ndarray:
+        """Return pixels (N, 2) as a camera sees them that is turned a little."""
+        turn = self._turn + self._rng.normal(0, self._turn_sigma, 3)
+        return to_pixels(self._street.camera.K, to_rays(self._street.camera.K, x) @ exp(turn).T)
+
+    def _common(self, x: np.ndarray) -> np.ndarray:
+        """Return unit errors (N, 2) that neighbouring blocks have partly in common."""
+        camera, share = self._street.camera, self._noise.together
+        rows, columns = camera.height // BLOCK, camera.width // BLOCK
+        wide = self._rng.normal(size=(rows + 2, columns + 2, 2))
+        smooth = 3 * ndimage.uniform_filter(wide, (3, 3, 0))[1:-1, 1:-1]
+        own = self._rng.normal(size=smooth.shape)
+        cell = (x // BLOCK).astype(int)
+        return (np.sqrt(1 - share) * own + np.sqrt(share) * smooth)[cell[:, 1], cell[:, 0]]
+
+    def _share(self, surface: np.ndarray) -> np.ndarray:
+        """Return the share (N,) of its parallax by which each block errs."""
+        noise, rng = self._noise, self._rng
+        share = self._depth + noise.relief * rng.normal(size=len(surface))
+        for id_ in np.unique(surface):
+            share[surface == id_] += rng.normal(0, noise.surface_bias)
+        return np.where(surface == SKY, 0.0, share)
+
+    def _parallax(self, i: int, j: int, x_cur: np.ndarray, x_prev: np.ndarray) -> np.ndarray:
+        """Return what of the motion (N, 2) the camera's way makes [px]."""
+        R = self._street.pose(j)[0].T @ self._street.pose(i)[0]
+        K = self._street.camera.K
+        return x_prev - to_pixels(K, to_rays(K, x_cur) @ R)

@@ -1,0 +1,53 @@
+"""How far errors go together, measured on pairs whose errors are known."""
+
+from dataclasses import replace
+
+import canyon
+from canyon import motion, views
+from mv_slapse.filters.scene_noise import Dependence, measured
+from mv_slapse.geometry.camera import to_rays
+import numpy as np
+import pytest
+from scipy import ndimage
+
+
+def pair(rng, together):
+    """Return a canyon whose errors have a share of their variance in common with neighbours."""
+    scene = views(*motion('ahead'))
+    cell = (scene.x_cur // 16).astype(int)
+    wide = rng.normal(size=(*cell.max(axis=0) + 1, 2))
+    smooth = 3 * ndimage.uniform_filter(rng.normal(size=wide.shape), (3, 3, 0), mode='wrap')
+    error = np.sqrt(1 - together) * wide + np.sqrt(together) * smooth
+    x_prev = scene.x_true + 0.3 * error[tuple(cell.T)]
+    return replace(scene.pair, x_prev=x_prev, sigma=np.full(len(cell), 0.3),
+                   rays_prev=to_rays(canyon.K, x_prev)), scene.R, scene.t
+
+
+@pytest.mark.parametrize(('together', 'low', 'high'), [(0.0, 0.75, 1.2), (0.5, 3.4, 5.2)])
+def test_dependence_is_the_variance_of_a_mean_over_that_of_independent_errors(together, low,
+                                                                              high):
+    """Errors shared by 3 x 3 macroblocks count 9 times: 1 + 8 together, less at the borders."""
+    found = [measured(*pair(np.random.default_rng(seed), together)) for seed in range(20)]
+    assert low < np.mean(found) < high
+
+
+def test_a_noise_twice_as_large_as_said_counts_four_times():
+    noisy, R, t = pair(np.random.default_rng(0), 0.0)
+    sure = replace(noisy, sigma=noisy.sigma / 1.5)
+    assert measured(sure, R, t) / measured(noisy, R, t) == pytest.approx(1.5**2, rel=0.3)
+
+
+def test_the_mean_forgets_where_it_began_and_one_bad_pair_moves_it_by_little():
+    dependence = Dependence(6.0)
+    for seed in range(30):
+        dependence = dependence.seen(*pair(np.random.default_rng(seed), 0.0))
+    settled = dependence.value
+    assert 1.0 <= settled < 1.4
+    dependence = dependence.seen(*pair(np.random.default_rng(99), 1.0))
+    assert settled < dependence.value < 1.5 * settled
+
+
+def test_a_few_correspondences_tell_nothing():
+    few, R, t = pair(np.random.default_rng(0), 0.0)
+    before = Dependence(6.0)
+    assert before.seen(few[:40], R, t) is before

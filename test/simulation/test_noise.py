@@ -1,0 +1,83 @@
+"""Drawn errors of vectors have the sizes that were asked for."""
+
+from dataclasses import replace
+
+from mv_slapse.geometry.camera import to_pixels, to_rays
+from mv_slapse.simulation import drawn
+from mv_slapse.simulation.noise import NoisyVectors, VectorNoise
+from mv_slapse.simulation.street import Street, StreetSettings
+import numpy as np
+import pytest
+
+NONE = VectorNoise(sigma=0.0, together=0.0, outliers=0.0, relief=0.0, surface_bias=0.0,
+                   depth_bias=0.0, offset=0.0)
+FIRST, SECOND = 20, 24
+
+
+@pytest.fixture(scope='module')
+def street():
+    return Street(StreetSettings(seed=3))
+
+
+@pytest.fixture(scope='module')
+def exact(street):
+    return drawn.draw(street, FIRST, SECOND, np.random.default_rng(0), 0.0, 0.0)
+
+
+def errors(street, exact, seeds=1, **noise):
+    """Return the errors (seeds, N, 2) of x_prev [px]."""
+    found = []
+    for seed in range(seeds):
+        vectors = NoisyVectors(street, replace(NONE, **noise), np.random.default_rng(seed))
+        found.append(vectors.pair(FIRST, SECOND).x_prev - exact.x_true)
+    return np.array(found)
+
+
+def test_without_noise_the_pair_is_exact(street, exact):
+    np.testing.assert_allclose(errors(street, exact), 0, atol=1e-4)
+
+
+def test_noise_has_its_variance_and_neighbours_share_theirs(street, exact):
+    found = errors(street, exact, 20, sigma=0.3, together=0.5)
+    assert np.std(found) == pytest.approx(0.3, rel=0.03)
+    x = exact.correspondences.x_cur
+    beside = np.all(np.diff(x, axis=0) == (16, 0), axis=1)
+    # Two windows of 3 x 3 side by side share 6 of 9 blocks.
+    shared = np.mean((found[:, :-1] * found[:, 1:])[:, beside]) / 0.09
+    assert shared == pytest.approx(0.5 * 6 / 9, abs=0.05)
+
+
+def test_a_share_of_the_vectors_is_wrong(street, exact):
+    wrong = np.abs(errors(street, exact, 5, outliers=0.2)).max(axis=2) > 0.01
+    assert wrong.mean() == pytest.approx(0.2, abs=0.02)
+
+
+@pytest.mark.parametrize(('kind', 'same_in_a_pair'), [('depth_bias', True), ('relief', False)])
+def test_depths_err_by_a_share_of_the_parallax(street, exact, kind, same_in_a_pair):
+    found = errors(street, exact, 60, **{kind: 0.02})
+    R = street.pose(SECOND)[0].T @ street.pose(FIRST)[0]
+    K = street.camera.K
+    far = to_pixels(K, to_rays(K, exact.correspondences.x_cur.astype(float)) @ R)
+    parallax = exact.x_true - far
+    seen = (exact.surface >= 0) & (np.linalg.norm(parallax, axis=1) > 2)
+    share = np.sum(found * parallax, axis=2)[:, seen] / np.sum(parallax**2, axis=1)[seen]
+    assert np.std(share) == pytest.approx(0.02, rel=0.3)
+    assert np.allclose(share, share[:, :1], atol=1e-4) is same_in_a_pair
+
+
+def test_surfaces_err_each_by_a_share_of_its_own(street, exact):
+    found = errors(street, exact, surface_bias=0.05)[0]
+    length = np.linalg.norm(found, axis=1)
+    assert np.all(length[exact.surface < 0] < 1e-4)
+    assert np.all(length[exact.surface == 0].mean() > 1e-3)
+
+
+def test_an_offset_turns_all_vectors_alike_and_lasts(street, exact):
+    vectors = NoisyVectors(street, replace(NONE, offset=0.5), np.random.default_rng(2))
+    means = []
+    for _ in range(200):
+        error = vectors.pair(FIRST, SECOND).x_prev - exact.x_true
+        means.append(error.mean(axis=0))
+    assert np.std(error - error.mean(axis=0)) < np.linalg.norm(np.std(means, axis=0))
+    assert np.std(means, axis=0) == pytest.approx(np.full(2, 0.5), rel=0.25)
+    assert np.abs(np.mean(means, axis=0)).max() > 0.1
