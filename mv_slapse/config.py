@@ -208,7 +208,8 @@ class ObstacleSettings(Checked):
     still_time: float = setting(
         0.5, 's', 'without evidence of motion, after which an obstacle joins the scene', 0.0)
     still_speed: float = setting(
-        1.0, 'm/s', 'fastest estimate that may still be a standing obstacle', 0.0)
+        1.0, 'm/s', 'fastest estimate that may still be a standing obstacle; without metric scale '
+        'taken times a tenth of the camera\'s speed', 0.0)
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ def detections(extraction: Extraction, view: View, settings: ObstacleSettings) -
         found.append(_detection(plane.id, scale * np.r_[plane.plane, plane.t_d],
                                 plane.covariance * np.outer(scale, scale), x, block,
                                 plane.scale_prior, view))
-    found = [_on_ground(_blurred(item, view, settings), view) for item in found
+    found = [_on_ground(blurred(item, view, settings), view) for item in found
              if item is not None]
     return sorted(found, key=lambda item: (-len(item.x), item.id))
 
@@ -134,7 +134,7 @@ def joined(group: Sequence[Detection], view: View) -> Detection:
     block = np.concatenate([item.block for item in group])
     box = box_of(x, block)
     whole = replace(_moved(first, _centre(box, view)), x=x, block=block)
-    whole.R[om.BEARING, om.BEARING] = _bearing_covariance(box, block, view)
+    whole.R[om.BEARING, om.BEARING] = bearing_covariance(box, block, view)
     return _on_ground(whole, view)
 
 
@@ -184,7 +184,7 @@ def _detection(id_, state, covariance, x, block, prior, view):
     scale = np.r_[1.0, np.full(3, 1 / view.dt), 1.0, 1.0]
     R = np.zeros((om.SIZE, om.SIZE))
     R[2:, 2:] = covariance[np.ix_(order, order)] * np.outer(scale, scale)
-    R[om.BEARING, om.BEARING] = _bearing_covariance(box, block, view)
+    R[om.BEARING, om.BEARING] = bearing_covariance(box, block, view)
     contact = moving_plane.contact(x, block)
     return Detection(id_, np.r_[centre, theta[order] * scale], R,
                      prior is ScalePrior.GROUND_CONTACT, x, block, prior,
@@ -196,7 +196,7 @@ def _centre(box, view):
     return to_rays(view.K, (box[:2] + box[2:] / 2)[None])[0, :2]
 
 
-def _bearing_covariance(box, block, view):
+def bearing_covariance(box, block, view):
     """Return how well a box shows the ray (2,) of the middle of what it surrounds, (2, 2)."""
     share = np.where(is_cut(box, view), CUT_SHARE, OUTLINE_SHARE)
     return np.diag((np.max(block, axis=0)**2 / 12 + (share * box[2:])**2)
@@ -209,8 +209,8 @@ def _edge(contact, variance):
                 contact.sigma / max(float(np.sqrt(variance)), 1e-6))
 
 
-def _blurred(detection, view, settings):
-    """Add what all vectors of a region have in common to the covariance of the rate.
+def blurred(detection, view, settings):
+    """Return a detection with what all its vectors have in common in the rate's covariance.
 
     A bias of the encoder, which weighs more on the growth of a small region, the error of the
     camera's rotation, and that of the plane.

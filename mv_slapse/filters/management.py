@@ -57,11 +57,11 @@ def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSe
             and sum(e.nis for e in recent) <= CONSISTENT_NIS * max(dof, 1))
 
 
-def stands_still(evidence: Sequence[Evidence], settings: ObstacleSettings) -> bool:
+def stands_still(evidence: Sequence[Evidence], unit: float, settings: ObstacleSettings) -> bool:
     """Return whether an obstacle's velocity has been statistically zero for long enough.
 
     Small speed is asked for as well, since a velocity of which nothing is known is statistically
-    zero, too.
+    zero, too. ``unit`` is what to take for 1 m/s [map unit/s].
     """
     if not evidence:
         return False
@@ -69,10 +69,10 @@ def stands_still(evidence: Sequence[Evidence], settings: ObstacleSettings) -> bo
     lasted = 1e-9 * (recent[-1].stamp - recent[0].start)
     level = ekf.chi2_bound(STILL_CONFIDENCE, 3)
     return lasted >= settings.still_time - 1e-6 and all(
-        e.statistic < level and e.speed < settings.still_speed for e in recent)
+        e.statistic < level and e.speed < settings.still_speed * unit for e in recent)
 
 
-def melts_into_scene(speed: float, sigma: float, still_share: float,
+def melts_into_scene(speed: float, sigma: float, still_share: float, unit: float,
                      settings: ObstacleSettings) -> bool:
     """Return whether an obstacle without detection has stopped rather than vanished.
 
@@ -82,9 +82,11 @@ def melts_into_scene(speed: float, sigma: float, still_share: float,
         Of the track and its standard deviation [map unit/s].
     still_share : float
         Share of the labelled blocks where it should be that are labelled stationary.
+    unit : float
+        What to take for 1 m/s [map unit/s].
     settings : ObstacleSettings
     """
-    return still_share >= STILL_SHARE and speed - 2 * sigma < settings.still_speed
+    return still_share >= STILL_SHARE and speed - 2 * sigma < settings.still_speed * unit
 
 
 def within(evidence: Sequence[Evidence], seconds: float) -> list[Evidence]:

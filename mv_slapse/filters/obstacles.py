@@ -1,9 +1,10 @@
 """Moving obstacles over time: one filter for each, (14)-(16) of [MVO]."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from mv_slapse.config import ObstacleSettings
-from mv_slapse.filters import association, management, tracks
+from mv_slapse.filters import association, management, search, tracks
 from mv_slapse.filters.detections import Detection, detections, from_handover, joined
 from mv_slapse.filters.obstacle_motion import CameraStep
 from mv_slapse.filters.view import relative_motion, View, view_of
@@ -64,6 +65,7 @@ class ObstacleTracker:
         found = [joined(group, view) for group in association.groups(
             detections(extraction, view, self._settings), self._settings.gate)]
         free = self._continue(found, extraction)
+        self._search(extraction)
         free = self._absorb(free, extraction.stamp)
         self._begin(free, extraction)
         self._merge()
@@ -95,6 +97,17 @@ class ObstacleTracker:
             self._tracks[i].update(joined(group, self._view), extraction, self._view,
                                    self._settings)
         return free
+
+    def _search(self, extraction):
+        """Look for the vectors of confirmed obstacles that the labels do not show."""
+        for track in self._tracks:
+            if track.confirmed and track.last_seen != extraction.stamp and track.is_moving(
+                    self._settings):
+                item = search.found(track.mu, track.P, track.x, track.block, extraction,
+                                    self._view, self._settings)
+                if item is not None:
+                    track.update(replace(item, id=track.plane_id), extraction, self._view,
+                                 self._settings)
 
     def _absorb(self, free, stamp):
         """Drop detections that lie on an obstacle just updated: parts of it, not a second one."""
@@ -153,12 +166,14 @@ class ObstacleTracker:
         return self._view.ground is None or track.scale_prior is ScalePrior.GROUND_CONTACT
 
     def _has_stopped(self, track, extraction):
+        unit = self._view.speed_unit
         if track.last_seen == extraction.stamp:
-            return management.stands_still(track.evidence, self._settings)
+            return management.stands_still(track.evidence, unit, self._settings)
         motion = track.motion(self._view)
         sigma = float(np.sqrt(np.trace(motion.covariance[3:, 3:]) / 3))
         return management.melts_into_scene(float(np.linalg.norm(motion.velocity)), sigma,
-                                           _still_share(track, extraction), self._settings)
+                                           _still_share(track, extraction), unit,
+                                           self._settings)
 
     def _expired(self, track, stamp):
         lifetime = self._settings.lifetime

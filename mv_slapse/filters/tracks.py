@@ -159,6 +159,10 @@ class Track:
                                       dof, speed))
         self.evidence = within(self.evidence, KEPT_EVIDENCE)
 
+    def is_moving(self, settings: ObstacleSettings) -> bool:
+        """Return whether the last evidence shows motion, whatever the labels say."""
+        return self.evidence[-1].statistic > ekf.chi2_bound(settings.moving_confidence, 3)
+
     def motion(self, view: View) -> om.Motion:
         """Return position and velocity in the world in camera axes."""
         return om.motion(self.mu, self.P, view.scene_velocity, view.scene_covariance)

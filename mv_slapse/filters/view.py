@@ -6,6 +6,7 @@ from mv_slapse.geometry import plane as planes
 from mv_slapse.records import Extraction, MotionStatus, ScaleStatus, SceneEstimate
 import numpy as np
 
+UNSCALED_SPEED = 0.1  # 1 m/s as a share of the camera's speed, where no scale is known
 LEAST_SPEED_ERROR = 0.01  # share of the camera's speed, if its filter claims to know better
 
 
@@ -50,6 +51,12 @@ class View:
     ground_normal_covariance: np.ndarray
     size: np.ndarray
     is_metric: bool
+
+    @property
+    def speed_unit(self) -> float:
+        """Return what to take for 1 m/s [map unit/s]: at free scale the camera drives 10 m/s."""
+        speed = float(np.linalg.norm(self.scene_velocity))
+        return 1.0 if self.is_metric or speed < 1e-6 else UNSCALED_SPEED * speed
 
     def to_world(self, X_cam: np.ndarray) -> np.ndarray:
         """Return points (N, 3) or (3,) of the camera frame in {W}."""

@@ -42,7 +42,7 @@ def test_old_evidence_does_not_confirm():
 
 
 def test_half_a_second_at_rest_is_a_standstill():
-    assert management.stands_still(evidence([50, 50] + [2] * 6, speed=0.3), SETTINGS)
+    assert management.stands_still(evidence([50, 50] + [2] * 6, speed=0.3), 1.0, SETTINGS)
 
 
 @pytest.mark.parametrize('case', [
@@ -50,13 +50,19 @@ def test_half_a_second_at_rest_is_a_standstill():
     evidence([2] * 5 + [30] + [2] * 2, speed=0.3), []],
     ids=['too short', 'too fast', 'moved in between', 'nothing'])
 def test_less_is_no_standstill(case):
-    assert not management.stands_still(case, SETTINGS)
+    assert not management.stands_still(case, 1.0, SETTINGS)
 
 
 def test_a_slow_obstacle_whose_place_turns_stationary_has_stopped():
-    assert management.melts_into_scene(1.5, 0.5, 0.8, SETTINGS)
-    assert not management.melts_into_scene(6.0, 0.5, 0.8, SETTINGS)
-    assert not management.melts_into_scene(1.5, 0.5, 0.3, SETTINGS)
+    assert management.melts_into_scene(1.5, 0.5, 0.8, 1.0, SETTINGS)
+    assert not management.melts_into_scene(6.0, 0.5, 0.8, 1.0, SETTINGS)
+    assert not management.melts_into_scene(1.5, 0.5, 0.3, 1.0, SETTINGS)
+
+
+def test_at_free_scale_the_least_speed_follows_the_camera():
+    slow = evidence([2] * 8, speed=0.3)
+    assert not management.stands_still(slow, 0.2, SETTINGS)
+    assert not management.melts_into_scene(1.5, 0.5, 0.8, 0.2, SETTINGS)
 
 
 def test_settings_decide():

@@ -1,0 +1,96 @@
+"""Where the labels miss an obstacle that is followed: its vectors, looked for where it must be.
+
+Labels of one pair cannot tell a car that drives as fast as the camera from what is far off, nor a
+slow one from noise. A track knows where the obstacle is and how it moves: blocks there that move
+so are its own. They correct the rate and, weakly, the place; the depth is left to the labels.
+"""
+
+from mv_slapse.config import ObstacleSettings
+from mv_slapse.filters import ekf
+from mv_slapse.filters import obstacle_motion as om
+from mv_slapse.filters.detections import bearing_covariance, blurred, box_of, Detection, Edge
+from mv_slapse.filters.view import View
+from mv_slapse.geometry import moving_plane
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.records import Extraction, Label, ScalePrior
+import numpy as np
+
+LEAST_SHARE = 0.5  # of the blocks there that must move with the obstacle
+LEAST_COVERED = 0.3  # share of its box that these must cover
+GATE = 0.99  # share of its own blocks that pass
+ITERATIONS = 3
+FOLLOW = 0.3  # share by which the outline follows what is found
+WEAK = 1e-6  # share of the prediction's information that counts as seen
+FREE_SLOPE = 1.0  # standard deviation: vectors inside a box tell little of the slope
+
+
+def found(mu: np.ndarray, P: np.ndarray, x: np.ndarray, block: np.ndarray,
+          extraction: Extraction, view: View, settings: ObstacleSettings) -> Detection | None:
+    """Return a predicted obstacle's own blocks as a detection without depth, or None.
+
+    Parameters
+    ----------
+    mu, P : (8,), (8, 8) arrays
+        Predicted state.
+    x, block : (N, 2), (N, 2) arrays
+        Predicted centres and sizes of its blocks [px].
+    extraction : Extraction
+        Its moving planes and the ground keep their blocks.
+    view, settings : View, ObstacleSettings
+    """
+    box = box_of(x, block)
+    at = _free(extraction, box)
+    if len(at) < settings.min_macroblocks:
+        return None
+    rays = to_rays(view.K, extraction.x_cur[at].astype(float))
+    theta, information, own = _rate(mu, P, rays, extraction, at, view,
+                                    settings.vector_bias)
+    area = extraction.block[at[own]].astype(float).prod(axis=1).sum()
+    if (own.sum() < max(settings.min_macroblocks, LEAST_SHARE * len(at))
+            or area < LEAST_COVERED * np.prod(box[2:])):
+        return None
+    seen = box_of(extraction.x_cur[at[own]].astype(float), extraction.block[at[own]].astype(float))
+    z, R = _observed(mu, P, theta / view.dt, np.linalg.inv(information) / view.dt**2)
+    z[om.BEARING] = to_rays(view.K, (seen[:2] + seen[2:] / 2)[None])[0, :2]
+    R[om.BEARING, om.BEARING] = 4 * bearing_covariance(seen, block, view)
+    moved = box + FOLLOW * (seen - box)
+    scale = moved[2:] / box[2:]
+    return blurred(Detection(-1, z, R, False, moved[:2] + scale * (x - box[:2]), scale * block,
+                             ScalePrior.NONE, Edge(0.0, 0.0, 1.0)), view, settings)
+
+
+def _observed(mu, P, rate, covariance):
+    """Return a state (8,) with a rate that was seen, and its covariance (8, 8)."""
+    z, R = mu.copy(), np.diag(np.r_[0.0, 0.0, P[2, 2], np.zeros(3), np.full(2, FREE_SLOPE**2)])
+    z[om.RATE], R[om.RATE, om.RATE] = rate, covariance
+    return z, R
+
+
+def _free(extraction, box):
+    """Return the blocks (M,) int inside a box that belong to neither movers nor the ground."""
+    kept = [plane.id for plane in extraction.planes
+            if plane.is_ground or plane.label is Label.MOVING]
+    x = extraction.x_cur
+    inside = np.all((x >= box[:2]) & (x <= box[:2] + box[2:]), axis=1)
+    return np.flatnonzero(inside & ~np.isin(extraction.plane_id, kept))
+
+
+def _rate(mu, P, rays, extraction, at, view, bias):
+    """Return displacement over depth (3,), its information (3, 3), and which blocks share it."""
+    prior = view.dt**2 * P[om.RATE, om.RATE]
+    theta = np.r_[view.dt * mu[om.RATE], mu[om.SLOPE]]
+    variance = extraction.sigma[at].astype(float)**2 + bias**2
+    target, limit = extraction.x_prev[at].astype(float), ekf.chi2_bound(GATE, 2)
+    weak = WEAK * np.linalg.inv(prior)  # one block alone leaves the rate open
+    for _ in range(ITERATIONS):
+        x_prev, J = moving_plane.transfer(theta, rays, mu[om.BEARING], view.K,
+                                          view.R_cur_from_prev)
+        J, error = J[:, :, moving_plane.RATE], target - x_prev
+        S = J @ prior @ np.swapaxes(J, 1, 2) + variance[:, None, None] * np.eye(2)
+        own = np.einsum('ni,ni->n', error, np.linalg.solve(S, error[:, :, None])[:, :, 0]) < limit
+        weighted = J[own] / variance[own, None, None]
+        information = np.einsum('nij,nik->jk', weighted, J[own]) + weak
+        step = np.linalg.solve(information, np.einsum('nij,ni->j', weighted, error[own]))
+        theta[moving_plane.RATE] += step
+    spread = np.sum(error[own]**2 / variance[own, None]) / max(2 * own.sum() - 3, 1)
+    return theta[moving_plane.RATE], information / max(spread, 1.0), own

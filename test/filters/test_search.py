@@ -1,0 +1,103 @@
+"""Obstacles that the labels miss, by their vectors in drawn traffic."""
+
+from dataclasses import replace
+
+from drawn_movers import Drive, DT, Mover
+from mv_slapse.config import ObstacleSettings
+from mv_slapse.filters import obstacle_motion as om
+from mv_slapse.filters import search
+from mv_slapse.filters.detections import detections
+from mv_slapse.filters.obstacles import ObstacleTracker
+from mv_slapse.filters.view import view_of
+from mv_slapse.records import Label, ObstacleState
+import numpy as np
+import pytest
+
+SETTINGS = ObstacleSettings()
+CASES = {'slower': Drive((Mover(1, (0, 18), (0, 5)),)),
+         'same_speed': Drive((Mover(1, (0, 12), (0, 10)),)),
+         'crossing': Drive((Mover(1, (-7, 18), (5, 0), size=(4.2, 1.5)),), speed=3.0)}
+
+
+def unlabelled(extraction):
+    """Return an extraction whose labels miss every mover."""
+    return replace(extraction, planes=(), label=np.full(len(extraction.x_cur), Label.UNKNOWN),
+                   plane_id=np.full(len(extraction.x_cur), -1))
+
+
+def moment(drive, now, rng):
+    """Return extraction, view and the state of the one mover, known by its own detection."""
+    extraction = drive.extraction(now - DT, now, rng)
+    view = view_of(extraction, drive.scene(now - DT, now), None)
+    return extraction, view, detections(extraction, view, SETTINGS)[0]
+
+
+def found(item, extraction, view):
+    return search.found(item.z, item.R, item.x, item.block, extraction, view, SETTINGS)
+
+
+def track(drive, rng, labelled, seconds=3.0):
+    """Return (time, obstacles); the labels show movers for as long as ``labelled`` says."""
+    tracker, result = ObstacleTracker(SETTINGS), []
+    for i in range(int(round(seconds / DT))):
+        now = (i + 1) * DT
+        extraction = drive.extraction(now - DT, now, rng)
+        if not labelled(now):
+            extraction = unlabelled(extraction)
+        result.append((now, tracker.step(extraction, drive.scene(now - DT, now))[0]))
+    return result
+
+
+@pytest.fixture(params=CASES, ids=str)
+def drive(request):
+    return CASES[request.param]
+
+
+def test_vectors_alone_give_the_rate(drive, rng):
+    exact = replace(drive, sigma=0.0)
+    extraction, view, item = moment(exact, 0.5, rng)
+    wrong = item.z + np.r_[0, 0, 0, 0.02, -0.02, 0.03, 0, 0]
+    again = found(replace(item, z=wrong), unlabelled(extraction), view)
+    np.testing.assert_allclose(again.z[om.RATE], item.z[om.RATE], atol=0.02)
+    assert not again.has_depth
+    assert np.all(np.linalg.eigvalsh(again.R[om.RATE, om.RATE]) > 0)
+
+
+def test_a_confirmed_obstacle_is_followed_without_labels(drive, rng):
+    mover = drive.movers[0]
+    result = track(drive, rng, lambda now: now < 0.85)
+    for now, obstacles in result[6:24]:
+        assert [o.state for o in obstacles] == [ObstacleState.CONFIRMED]
+        R, t = drive.pose(now)
+        range_ = np.linalg.norm(mover.centre(now) - t)
+        assert np.linalg.norm(obstacles[0].position - mover.centre(now)) < 0.2 * range_
+        assert np.linalg.norm(obstacles[0].velocity - mover.speed(now)) < 2
+
+
+def test_a_tentative_obstacle_is_not_looked_for(drive, rng):
+    result = track(drive, rng, lambda now: now < 0.15, 1.0)
+    assert all(o.state is ObstacleState.TENTATIVE for _, obstacles in result for o in obstacles)
+    assert not result[-1][1]
+
+
+def test_what_moves_otherwise_is_not_the_obstacle(drive, rng):
+    extraction, view, item = moment(drive, 0.5, rng)
+    shifted = replace(unlabelled(extraction), x_prev=extraction.x_prev + np.float32([9, -9]))
+    assert found(item, shifted, view) is None
+
+
+@pytest.mark.parametrize('label', [Label.MOVING, Label.STATIONARY])
+def test_blocks_of_other_movers_and_of_the_ground_stay_theirs(drive, rng, label):
+    extraction, view, item = moment(drive, 0.5, rng)
+    plane = replace(extraction.planes[0], label=label, is_ground=label is Label.STATIONARY)
+    assert found(item, replace(extraction, planes=(plane,)), view) is None
+    wall = replace(plane, label=Label.STATIONARY, is_ground=False)
+    assert found(item, replace(extraction, planes=(wall,)), view) is not None
+
+
+def test_a_few_blocks_are_not_enough(drive, rng):
+    extraction, view, item = moment(drive, 0.5, rng)
+    few = unlabelled(extraction)
+    few = replace(few, **{name: getattr(few, name)[:3] for name in (
+        'x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')})
+    assert found(item, few, view) is None
