@@ -98,7 +98,7 @@ class ExtractionSettings(Checked):
         3.0, 'sigma', 'largest error of a block on the ground, along its epipolar line', 0.5, 20.0)
     min_macroblocks: int = setting(20, '-', 'smallest plane, section VII-A of [SLAPSE]', 4)
     moving_score: float = setting(
-        30.0, '-', 'squared distance from anything stationary, summed over key frames, at which a '
+        24.0, '-', 'squared distance from anything stationary, summed over key frames, at which a '
         'region is called moving: one in a million by chance', 1.0)
     max_planes: int = setting(8, '-', 'most stationary planes of a key frame', 1, 64)
     max_uncertainty: float = setting(

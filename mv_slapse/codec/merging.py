@@ -88,7 +88,8 @@ def average(segment: Segment, evidence: Evidence, settings: DecoderSettings,
             field: np.ndarray | None = None) -> Correspondences:
     """Return one correspondence for each macroblock on which the given evidence agrees."""
     frame = segment.current
-    x, vector, variance = consensus(evidence, frame.width, frame.height, settings, field)
+    x, vector, variance = consensus(evidence, frame.width, frame.height, settings, field,
+                                    not is_ambiguous(segment))
     chance = existence(segment.kind, len(segment.between), settings.match_probability)
     return Correspondences(
         frame.stamp, segment.previous.stamp, frame.width, frame.height, segment.kind,
@@ -99,7 +100,8 @@ def average(segment: Segment, evidence: Evidence, settings: DecoderSettings,
 
 
 def consensus(evidence: Evidence, width: int, height: int, settings: DecoderSettings,
-              field: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+              field: np.ndarray | None = None, grows: bool = True
+              ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return place [px], vector [px] and variance of what each macroblock's evidence agrees on.
 
     A macroblock's evidence falls into at most two clusters; the one that the eight macroblocks
@@ -113,6 +115,9 @@ def consensus(evidence: Evidence, width: int, height: int, settings: DecoderSett
     settings : DecoderSettings
     field : (rows, columns, 2) float32, optional
         Vectors that the pairs before let expect [px].
+    grows : bool
+        Whether neighbours may agree on vectors that grow from one to the next, see `_votes`.
+        Where vectors point to several pictures whole surfaces of them do, and agree so.
 
     Returns
     -------
@@ -127,7 +132,7 @@ def consensus(evidence: Evidence, width: int, height: int, settings: DecoderSett
     clusters.append(_cluster(rest, settings))
     votes = np.stack(_votes([cluster.vector.reshape(*shape, 2) for cluster in clusters],
                             [cluster.mass.reshape(shape) > 0 for cluster in clusters],
-                            _skips(evidence.vector), settings))
+                            _skips(evidence.vector), settings, grows))
     votes = votes.reshape(2, -1) + [np.minimum(cluster.company, 1) for cluster in clusters]
     support = votes + [_expectation(cluster.vector, field, shape, settings)
                        for cluster in clusters]
@@ -252,11 +257,12 @@ def _skips(vector: np.ndarray) -> bool:
 
 
 def _votes(fields: list[np.ndarray], present: list[np.ndarray], skips: bool,
-           settings: DecoderSettings) -> list[np.ndarray]:
+           settings: DecoderSettings, grows: bool) -> list[np.ndarray]:
     """Return how many of the eight macroblocks around speak for each vector.
 
     Each gives at most one vote, that of its vector which agrees best; with ``skips`` a zero
-    vector gives none.
+    vector gives none. What comes near grows from block to block, by more than vectors may
+    differ: two on opposite sides then speak together for what lies half-way between theirs.
     """
     fields = [np.where(here[..., None], vectors, ABSENT)
               for vectors, here in zip(fields, present, strict=True)]
@@ -267,9 +273,19 @@ def _votes(fields: list[np.ndarray], present: list[np.ndarray], skips: bool,
         centre = vectors[1:-1, 1:-1]
         scale = 1 / _limit(centre, settings, 1.0) ** 2
         total = np.zeros(here.shape, np.float32)
-        for row, column in AROUND:
-            part = (slice(1 + row, row - 1 or None), slice(1 + column, column - 1 or None))
-            gap = np.minimum(*(_square_gap(other[part], centre) for other in voters))
-            total[1:-1, 1:-1] += np.maximum(1 - gap * scale, 0)
+        for side in AROUND[:4]:
+            ends = [[other[_beside(sign * side[0], sign * side[1])] for other in voters]
+                    for sign in (1, -1)]
+            alone = sum(np.maximum(1 - np.minimum(*(_square_gap(end, centre) for end in both))
+                                   * scale, 0) for both in ends)
+            if grows:
+                middle = _square_gap(0.5 * (ends[0][0] + ends[1][0]), centre)
+                alone = np.maximum(alone, 2 * np.maximum(1 - middle * scale, 0))
+            total[1:-1, 1:-1] += alone
         votes.append(np.where(here, total, -1))
     return votes
+
+
+def _beside(row: int, column: int) -> tuple[slice, slice]:
+    """Return the part of a grid with a border that lies a row and a column beside its inside."""
+    return slice(1 + row, row - 1 or None), slice(1 + column, column - 1 or None)

@@ -15,7 +15,7 @@ from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
-from mv_slapse.planes.region_scores import Blocks, outlines, scores
+from mv_slapse.planes.region_scores import Blocks, outlines, scores, Seen
 from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -36,7 +36,7 @@ BELOW_GROUND = 0.7  # share of the ground's inverse depth below which nothing st
 LEAST_GROUND = 20  # blocks that show the ground to be where it is expected
 FAR = 1.5  # px of parallax, less is far off,
 RESTING = 0.75  # px, or rests where the camera stands
-FADING = 0.8  # of the score from pair to pair
+FADING = 0.85  # of the score from pair to pair
 SCALE, ZERO = 100, 10_000  # of scores in a grid of integers
 
 
@@ -78,6 +78,7 @@ class _Field:
     plane_id: np.ndarray
     ground: np.ndarray | None
     level: np.ndarray | None
+    seen: Seen
 
 
 class _Fitted(NamedTuple):
@@ -155,7 +156,7 @@ def _motion_field(extraction, ground, level):
     far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < least)
     below = rho + 2 * noise < BELOW_GROUND * under
     return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far, below,
-                  extraction.plane_id, ground, level)
+                  extraction.plane_id, ground, level, Seen(x, rho, noise, under))
 
 
 def _inherited(extraction, memory):
@@ -240,8 +241,7 @@ def _scored(extraction, motion_field, found):
     outline = outlines(Blocks(motion_field.x[found.at], motion_field.block[found.at],
                               motion_field.rho[found.at], found.regions.first),
                        K, ground, motion_field.level)
-    score = scores(fit, outline, K, extraction.motion.t_cur_from_prev, motion_field.x,
-                   motion_field.ground_like)
+    score = scores(fit, outline, K, extraction.motion.t_cur_from_prev, motion_field.seen)
     return np.where(fits, score, 0.0)
 
 

@@ -21,8 +21,10 @@ import numpy as np
 BIAS = 0.35  # px that a region's vectors have in common
 LEAST_DROP = 8.0  # px below the horizon from which on a lower edge tells something
 FOOT_SIGMA = 8.0  # px of the lower edge, seen to a block, and of the horizon
+EDGE_SIGMA = 16 / np.sqrt(12)  # px of the lower edge, seen to a block, alone
 FOOT_HEIGHT = 40.0  # px above the lower edge that show how near it is
 GROUND_SIGMA = 0.07  # share of the ground's inverse depth: slope, kerbs
+BANK_SIGMA = 0.04  # rad by which land slopes beside the road, against the road's plane
 LOWEST, TALLEST = 0.5, 2.0  # heights of a camera, of what may be a vehicle or a person
 WIDEST = 5.0  # of the same
 LOWEST_PART = 0.3  # the same of a part that comes towards the camera
@@ -30,8 +32,32 @@ LEAST_FILLED = 0.4  # share of its box that a vehicle's blocks cover
 RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane,
 WIDE = 250.0  # px, if it is as wide as this
 LEAST_RATIO = 1.2  # of apparent over ground's inverse depth at which something may hover
-SHOWN = 0.3  # share of a place that ground covers if it is surely there
+CLEARANCE = 0.12  # logarithm of that ratio where bodies end above the ground: 0.2 m of 1.65 m
+OUTLIER = 0.05  # density of a wrong vector's depth, to the peak of a right one's
+LEAST_REACH = 28.0  # px below a region in which the ground is looked for
+SHOWN = 0.3  # share of this place that ground covers if it is surely there
+UNSEEN = 8.0  # largest score of what looks below the ground, where that is not seen
+DEPENDENCE = 2.0  # blocks of road below a region that tell as much as one
 STEP = 20.0  # largest part of the score of one pair
+
+
+class Seen(NamedTuple):
+    """All blocks of a picture.
+
+    Attributes
+    ----------
+    x : (M, 2) float64
+        Centres [px].
+    rho, sigma : (M,), (M,) float64
+        Apparent inverse depths and what noise makes of them [1/baseline].
+    under : (M,) float64
+        Inverse depth of the ground there [1/baseline].
+    """
+
+    x: np.ndarray
+    rho: np.ndarray
+    sigma: np.ndarray
+    under: np.ndarray
 
 
 class Blocks(NamedTuple):
@@ -120,8 +146,8 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
     return Outlines(low, high, foot, drop, under, filled, rho)
 
 
-def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, x: np.ndarray,
-           ground_like: np.ndarray) -> np.ndarray:
+def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
+           seen: Seen) -> np.ndarray:
     """Return squared distances (R,) of regions from all that is still, less what noise gives.
 
     Parameters
@@ -130,8 +156,8 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, x: np
         Of R regions.
     K, t : (3, 3), (3,) arrays
         Intrinsics [px]; translation of the camera, the unit of length.
-    x, ground_like : (M, 2), (M,) arrays
-        Centres of all blocks of the picture, and which of them move as the ground does.
+    seen : Seen
+        All blocks, in regions or not.
     """
     rate, size, drop = fit.theta[:, RATE], outline.size, outline.drop
     W = np.linalg.inv(_covariance(fit, rate, size, K))
@@ -141,13 +167,19 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, x: np
     error = rate - np.maximum(apparent, 0.0)[:, None] * t
     distance = np.sum((W @ error[:, :, None])[:, :, 0] * error, axis=1) - 3
     at_foot, sigma = _at_foot(fit, outline, K, apparent, 1 / np.sqrt(information))
-    share = np.hypot(FOOT_SIGMA / np.maximum(drop, 1.0), GROUND_SIGMA)
+    aside = np.abs(outline.foot[:, 0] - K[0, 2]) * K[1, 1] / K[0, 0]
+    share = np.sqrt((FOOT_SIGMA**2 + (BANK_SIGMA * aside)**2) / np.maximum(drop, 1.0)**2
+                    + GROUND_SIGMA**2)
     stands = (outline.under > 0) & np.any(t != 0)
     # A hedge along the road is no plane: its foot is nearer than the plane of the whole says.
     # What is larger than a vehicle is a building, and the ground is not where it should be.
     small = np.all(size <= np.outer(np.maximum(drop, 1.0), (WIDEST, TALLEST)), axis=1)
-    distance += (stands & small) * _below_ground(np.maximum(at_foot, outline.rho), sigma,
-                                                 outline.under, share)
+    farthest = np.maximum(at_foot, outline.rho)
+    below = stands * small * _below_ground(farthest, sigma, outline.under, share)
+    for i in np.flatnonzero(below > 0):
+        seen_there = _ground_below(outline, i, max(farthest[i], 0) / outline.under[i], seen)
+        below[i] = min(below[i], max(UNSEEN + seen_there, 0.0))
+    distance += below
     at_foot = np.minimum(at_foot, outline.rho)
     # The road's own wrong vectors are short: low or scattered, they are no vehicle.
     road = (size[:, 1] < LOWEST * drop) | (outline.filled < LEAST_FILLED)
@@ -155,9 +187,12 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, x: np
     for i in np.flatnonzero(stands & _may_hover(outline)
                             & (at_foot >= LEAST_RATIO * outline.under)):
         ratio = at_foot[i] / outline.under[i]
-        spread = np.hypot(share[i], sigma[i] / at_foot[i])
-        distance[i] += _ground_below(outline, i, ratio, x, ground_like) * (
-            (np.log(ratio) / spread)**2 - 1)
+        # Where the ground is seen below it is known: only the edge is not.
+        spread = np.sqrt((EDGE_SIGMA / outline.drop[i])**2 + GROUND_SIGMA**2
+                         + (sigma[i] / at_foot[i])**2 + CLEARANCE**2)
+        hovers = min((np.log(ratio) / spread)**2 - 1, _ground_below(outline, i, ratio, seen))
+        # An oncoming car follows the lines of what stands still: that it does tells nothing then.
+        distance[i] = hovers + (max(distance[i], 0.0) if hovers > 0 else distance[i])
     # Nothing that a robot could meet ends above the horizon, higher than its camera.
     distance[drop < LEAST_DROP] = np.minimum(distance[drop < LEAST_DROP], 0.0)
     return np.clip(distance, -5, STEP)
@@ -187,30 +222,35 @@ def _below_ground(at_foot, sigma, under, share):
 
 def _covariance(fit, rate, size, K):
     """Return the covariance (R, 3, 3) of the rates with what their vectors err alike."""
-    bias = np.empty((len(rate), 3))
-    bias[:, :2] = BIAS / np.diag(K)[:2]
-    bias[:, 2] = BIAS / (0.5 * np.min(size, axis=1))
+    shift, growth = BIAS / np.diag(K)[:2], BIAS / (0.5 * np.min(size, axis=1))
+    # Vectors show the parallax at the centre and the growth: an error of that goes along the ray.
+    ray = np.c_[fit.centre, np.ones(len(rate))] * growth[:, None]
     # A surface that is not one plane shifts its rate by a share of it.
     shape = (RELIEF * np.linalg.norm(rate, axis=1)
              * np.minimum(1.0, np.max(size, axis=1) / WIDE))**2
     covariance = fit.covariance[:, RATE, RATE]
-    covariance[:, range(3), range(3)] += bias**2 + shape[:, None]
-    return covariance
+    covariance[:, range(3), range(3)] += shape[:, None]
+    covariance[:, range(2), range(2)] += shift**2
+    return covariance + ray[:, :, None] * ray[:, None, :]
 
 
-def _ground_below(outline, i, ratio, x, ground_like):
-    """Return how surely the ground is seen where a region would hide it, 0 to 1.
+def _ground_below(outline, i, ratio, seen):
+    """Return how much rather the ground is seen where a region would hide it, as chi-square.
 
     A still thing that looks ``ratio`` times nearer than the ground at its foot reaches down to
-    where the ground is as near.
+    where the ground is as near; terrain that looks farther goes on as such. Dark bodywork has no
+    vectors; what has some shows either the ground's depth or the region's.
     """
-    across = np.abs(x[:, 0] - outline.foot[i, 0]) < 0.5 * outline.size[i, 0]
-    below = x[:, 1] - outline.foot[i, 1]
-    reach = max((ratio - 1) * outline.drop[i], 1.75 * lattice.MACROBLOCK)
-    seen = across & (below > 0) & (below < reach)
-    if not seen.any():
-        return 0.0
-    # Dark bodywork has no vectors either: the road must show itself on some of the place.
-    shown = ground_like[seen].sum() * lattice.MACROBLOCK**2 / (outline.size[i, 0] * reach)
-    return float(np.clip((ground_like[seen].mean() - 0.3) / 0.3, 0, 1)
-                 * min(shown / SHOWN, 1.0))
+    across = np.abs(seen.x[:, 0] - outline.foot[i, 0]) < 0.5 * outline.size[i, 0]
+    below = seen.x[:, 1] - outline.foot[i, 1]
+    reach = max((ratio - 1) * outline.drop[i], LEAST_REACH)
+    at = np.flatnonzero(across & (below > 0) & (below < reach))
+    under = seen.under[at]
+    near = ratio * (outline.under[i] if ratio > 1 else under)
+    sigma = np.hypot(seen.sigma[at], GROUND_SIGMA * np.maximum(under, near))
+    ground, region = (np.log(np.exp(-0.5 * ((seen.rho[at] - rho) / sigma)**2) + OUTLIER)
+                      for rho in (under, near))
+    # The road must show itself on some of the place.
+    shown = np.sum(ground > region) * lattice.MACROBLOCK**2 / (outline.size[i, 0] * reach)
+    evidence = 2 * np.sum(ground - region) / DEPENDENCE
+    return float(evidence * (min(shown / SHOWN, 1.0) if evidence > 0 else 1.0))

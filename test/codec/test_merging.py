@@ -2,8 +2,10 @@ from itertools import product
 
 from mv_slapse.codec import merging
 from mv_slapse.codec.evidence import Evidence
+from mv_slapse.codec.motion_vectors import FrameVectors
+from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
-from mv_slapse.records import SegmentKind
+from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
 import pytest
 
@@ -91,6 +93,33 @@ def test_wrong_vectors_are_rejected_and_the_others_stay(rng):
     x, vector, _ = agreed(evidence)
     assert np.abs(vector - linear(x)).max() < 0.01
     assert len(x) > 0.8 * np.count_nonzero(~wrong)
+
+
+def test_what_comes_near_keeps_its_vectors_though_they_grow_from_block_to_block():
+    evidence = lattice(lambda x: 0.3 * (x - (80, 64)))  # 4.8 px more for each block
+    x, vector, _ = agreed(evidence)
+    alone, _, _ = merging.consensus(evidence, WIDTH, HEIGHT, SETTINGS, grows=False)
+    assert len(alone) < len(x) / 2
+    np.testing.assert_allclose(vector, 0.3 * (x - (80, 64)), atol=1e-4)
+    inner = np.all((x > 16) & (x < (WIDTH - 16, HEIGHT - 16)), axis=1)
+    assert inner.sum() == 8 * 6
+
+
+@pytest.mark.parametrize('references', [1, 2])
+def test_vectors_that_may_mean_several_pictures_must_be_alike(references):
+    def frame(stamp, type_):
+        return FrameVectors(stamp, type_, WIDTH, HEIGHT, references=references)
+
+    segment = Segment(frame(0, FrameType.I), frame(1, FrameType.P), (), IP)
+    found = merging.average(segment, lattice(lambda x: 0.3 * (x - (80, 64))), SETTINGS)
+    assert (len(found) > 50) == (references == 1)
+
+
+def test_opposite_neighbours_do_not_speak_for_what_is_not_half_way_between_theirs():
+    evidence = lattice(lambda x: 0.3 * (x - (80, 64)) + 20 * (x == (71.5, 71.5)).all(
+        axis=1, keepdims=True))
+    x, _, _ = agreed(evidence)
+    assert not np.any((x == (71.5, 71.5)).all(axis=1))
 
 
 def test_the_cluster_that_neighbours_support_beats_the_heavier_one():

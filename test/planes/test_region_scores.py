@@ -3,7 +3,7 @@
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.planes.moving import fit_surfaces, Regions
-from mv_slapse.planes.region_scores import Blocks, outlines, scores
+from mv_slapse.planes.region_scores import Blocks, outlines, scores, Seen
 import numpy as np
 import pytest
 
@@ -16,8 +16,12 @@ FIRST_ROW = 180.0
 
 
 def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), ground=GROUND,
-          keep=1.0, t=T):
-    """Return the score of an upright face at a depth that moves by ``motion`` in the pair."""
+          keep=1.0, t=T, below='ground'):
+    """Return the score of an upright face at a depth that moves by ``motion`` in the pair.
+
+    Blocks below it show the ``ground``, the ``face``'s own depth, ``terrain`` that goes on as
+    the face's foot lies, or ``nothing``.
+    """
     corner = [to_pixels(K, np.array([[*c, depth]]))[0] for c in (low, high)]
     x = GRID[np.all((corner[0] < GRID) & (corner[1] > GRID), axis=1)]
     x = x[np.random.default_rng(0).uniform(size=len(x)) < keep] if keep < 1 else x
@@ -30,8 +34,17 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     blocks = Blocks(x, np.full(x.shape, 16.0), rho, np.zeros(1, int))
     outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]))
     fit = fit_surfaces(regions, K, np.eye(3), GROUND)
-    free = GRID[:, 1] > max(outline.foot[0, 1], FIRST_ROW)
-    return scores(fit, outline, K, t, GRID, free)[0]
+    return scores(fit, outline, K, t, seen_below(outline, rho.mean(), below, ground))[0]
+
+
+def seen_below(outline, rho, below, ground):
+    """Return the blocks of the picture below a face with an apparent inverse depth."""
+    x = GRID[GRID[:, 1] > max(outline.foot[0, 1], FIRST_ROW)]
+    under = np.zeros(len(x)) if ground is None else -to_rays(K, x) @ ground
+    shown = {'ground': under, 'face': np.full(len(x), rho), 'nothing': under,
+             'terrain': under * rho / max(outline.under[0], 1e-9)}[below]
+    kept = slice(None, 0 if below == 'nothing' else None)
+    return Seen(x[kept], shown[kept], np.full(len(x), 0.002)[kept], under[kept])
 
 
 @pytest.mark.parametrize('depth', [8.0, 14.0, 20.0])
@@ -43,6 +56,32 @@ def test_what_stands_on_the_ground_scores_nothing(depth):
                          ids=['same speed', 'faster', 'crossing', 'oncoming'])
 def test_what_moves_on_the_ground_scores(motion):
     assert score(12.0, motion) > 10
+
+
+def test_what_goes_on_below_its_outline_stands_there():
+    assert score(12.0, high=(1.0, 1.0), below='face') < 0
+    assert score(12.0, (0, 0, -1.5), below='face') < 0
+
+
+def test_what_seems_to_hover_needs_ground_below_that_is_seen():
+    assert score(12.0, (0, 0, -1.5)) > score(12.0, (0, 0, -1.5), below='nothing') + 10
+    assert score(12.0, (0, 0, -1.5), below='nothing') < 2
+
+
+def test_a_body_ends_above_the_ground_that_it_stands_on():
+    assert score(12.0, high=(1.0, HEIGHT - 0.25)) < 3
+    assert score(12.0, high=(1.0, HEIGHT - 0.5)) < 6
+
+
+def test_what_drives_ahead_scores_less_where_no_road_is_seen():
+    seen, unseen = (score(12.0, (0, 0, 1.0), below=below) for below in ('ground', 'nothing'))
+    assert 2 < unseen < 10 < seen
+
+
+def test_land_below_the_plane_of_the_road_does_not_move():
+    lower = {'high': (-8.0, 1.5 * HEIGHT), 'below': 'terrain'}
+    assert score(18.0, low=(-12.0, 0.5 * HEIGHT), **lower) < 2
+    assert score(18.0, low=(-12.0, 0.5 * HEIGHT), **lower | {'below': 'ground'}) < 0
 
 
 def test_no_pair_alone_calls_a_region_moving():
