@@ -12,7 +12,7 @@ from mv_slapse.filters import (
     scene_state,
     scene_update,
 )
-from mv_slapse.filters.scene_noise import Dependence
+from mv_slapse.filters.scene_noise import Dependence, HeightWander
 from mv_slapse.filters.scene_observations import Observe
 from mv_slapse.filters.scene_state import AnchoredPlane, Pose, SceneState
 from mv_slapse.geometry import two_view
@@ -32,7 +32,11 @@ from scipy import ndimage
 
 UP_CAM = np.array([0.0, -1.0, 0.0])
 GROUND_PATIENCE = 5  # key frames
+SCALELESS = ('no known plane is in view: the direction of the way is observed, its length is '
+             'predicted')
+CONTRADICTED = 'all known planes in view contradict the map'
 FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
+FIRST_HEIGHT_SIGMA = 0.1  # of the ground's depth in the one pair that makes the scale metric
 
 
 @dataclass
@@ -63,6 +67,7 @@ class SceneFilter:
         self._progress = Progress(0)
         self._map = scene_map.SceneMap()
         self.distances: dict[int, float] = {}
+        self._height = HeightWander()
         self._dependence = Dependence(settings.dependence)
 
     def step(self, extraction: Extraction, handovers: Sequence[PlaneHandover] = ()):
@@ -97,6 +102,7 @@ class SceneFilter:
     def _advance(self, extraction: Extraction):
         """Predict to the key frame and correct; return the tracking status and its reason."""
         status = extraction.motion.status
+        follows = self._catch_up(extraction)
         dt = (extraction.stamp - self._progress.stamp) * 1e-9
         self._progress.stamp = extraction.stamp
         if status == MotionStatus.STANDSTILL:
@@ -106,7 +112,20 @@ class SceneFilter:
         self._predict(dt)
         if status == MotionStatus.UNKNOWN:
             return self._unsupported(extraction.stamp, extraction.reason)
-        return self._correct(extraction)
+        return self._correct(extraction, follows)
+
+    def _catch_up(self, extraction: Extraction) -> bool:
+        """Predict through pairs that never came; return whether there was none.
+
+        A pair relates its own two key frames: the earlier one must be the filter's last.
+        """
+        gap = (extraction.previous_stamp - self._progress.stamp) * 1e-9
+        if gap <= 0:
+            return True
+        if self._progress.supported is not None:
+            self._predict(gap)
+        self._progress.stamp = extraction.previous_stamp
+        return False
 
     def _stand(self, extraction: Extraction):
         """Zero-velocity update: the pose stays exactly as it is, so nothing drifts."""
@@ -148,7 +167,7 @@ class SceneFilter:
             return TrackingStatus.LOST, f'{reason}; nothing observed for {age:.1f} s'
         return TrackingStatus.PREDICTED, reason
 
-    def _correct(self, extraction: Extraction):
+    def _correct(self, extraction: Extraction, follows: bool):
         """Update with the pair's correspondences and with what is known of the scale."""
         first, baseline = self._progress.supported is None, self._baseline(extraction)
         pair, plane_id = _stationary(extraction)
@@ -162,21 +181,20 @@ class SceneFilter:
         for i, id in enumerate(ids):
             index[plane_id == id] = i
         start = self._state.error_to(replace(self._state, current=shown))
-        ratio_known = not first and np.isfinite(extraction.baseline_ratio_sigma)
+        ratio_known = not first and follows and np.isfinite(extraction.baseline_ratio_sigma)
         observations = [*self._rigid(extraction, ground, first),
                         *self._ratio(extraction, ratio_known, settings)]
         self._state = scene_update.update(self._state, start, pair, index, ids, settings,
                                           observations)
         if not ratio_known:
             scene_state.begin_depth_scale(self._state, settings.ratio_sigma)
+        self._height = self._height.seen(self._state, extraction, settings)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
-        if first or known or ratio_known:
+        if first or known or ratio_known and not self.distances:
             self._progress.supported = extraction.stamp
             return TrackingStatus.OK, ''
-        return self._unsupported(
-            extraction.stamp, 'no known plane is in view: the direction of the way is observed, '
-            'its length is predicted')
+        return self._unsupported(extraction.stamp, CONTRADICTED if self.distances else SCALELESS)
 
     def _trusted_ground(self, extraction: Extraction, known: set[int]) -> int | None:
         """Return the ground's id, None where it is not seen or contradicts the map.
@@ -205,6 +223,7 @@ class SceneFilter:
             if progress.supported is not None:
                 scene_state.scale_lengths(self._state, metric / max(guess, 1e-9))
                 self._map.scale(metric / max(guess, 1e-9))
+                scene_state.widen_scale(self._state, FIRST_HEIGHT_SIGMA)
             progress.metric = True
             return metric
         return guess if progress.supported is not None and guess > 1e-9 else 1.0
@@ -264,7 +283,7 @@ class SceneFilter:
             lasting = float(np.sqrt(1 + 2 * settings.camera_height_time / dt))
             return [partial(scene_observations.camera_height, ground=ground, height=height,
                             sigma=settings.camera_height_sigma * height * lasting,
-                            lasting=settings.camera_height_bias * height),
+                            lasting=self._height.lasting(settings) * height),
                     partial(scene_observations.mounting, ground=ground,
                             sigma=settings.mounting_sigma),
                     partial(scene_observations.level_course, sigma=settings.course_sigma)]

@@ -2,7 +2,11 @@
 
 from dataclasses import dataclass
 
+from mv_slapse.config import SceneSettings
+from mv_slapse.filters import scene_gate
+from mv_slapse.filters.scene_state import log_baseline, SceneState
 from mv_slapse.geometry import epipolar, two_view
+from mv_slapse.records import Extraction
 import numpy as np
 from scipy import ndimage
 
@@ -11,6 +15,8 @@ REACH = 5  # macroblocks across the window in which errors are compared
 WIDTH = 3.0  # of the kernel, as in the update
 LEAST = 50  # correspondences whose errors can tell
 SLOW = 0.1  # weight of the newest pair in the running mean: some 10 pairs
+WANDER_TIME = 1.0  # s, of the mean departure of the height: single pairs are noise
+FORGET_TIME = 5.0  # s, in which a wandering height is forgotten
 BOUNDS = (1.0, 30.0)  # a pair says little beyond: too few blocks remain independent
 
 
@@ -36,6 +42,36 @@ class Dependence:
         newest = np.log(np.clip(measured(pair, R, t), *BOUNDS))
         mean = np.log(self.value) + weight * (newest - np.log(self.value))
         return Dependence(float(np.exp(mean)), self.pairs + 1)
+
+
+@dataclass(frozen=True)
+class HeightWander:
+    """How far the height that the ground shows departs from the scale that is carried along.
+
+    ``mean`` is its running mean as a share of the height, ``square`` that mean's running square.
+    Where vectors on the road are wrong in bulk, the height wanders for seconds, and the scale
+    after it: its error lasts and is larger than that of a well measured height.
+    """
+
+    mean: float = 0.0
+    square: float = 0.0
+
+    def seen(self, state: SceneState, extraction: Extraction,
+             settings: SceneSettings) -> 'HeightWander':
+        """Return it after one more pair."""
+        ground = scene_gate.ground_plane(extraction)
+        if not settings.camera_height or ground is None:
+            return self
+        metric = np.log(settings.camera_height * np.linalg.norm(ground))
+        departure = float(metric - log_baseline(state)[0])
+        dt = (extraction.stamp - extraction.previous_stamp) * 1e-9
+        mean = self.mean + min(dt / WANDER_TIME, 1.0) * (departure - self.mean)
+        return HeightWander(mean, self.square + min(dt / FORGET_TIME, 1.0) * (
+            mean**2 - self.square))
+
+    def lasting(self, settings: SceneSettings) -> float:
+        """Return the standard deviation of what lasts of the height's error, as a share."""
+        return float(np.hypot(settings.camera_height_bias, np.sqrt(self.square)))
 
 
 def measured(pair: two_view.Pair, R, t) -> float:

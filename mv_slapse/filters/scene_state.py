@@ -213,6 +213,19 @@ def scale_lengths(state: SceneState, factor: float):
     state.error.lasting = D[:, None] * state.error.lasting
 
 
+def widen_scale(state: SceneState, sigma: float):
+    """Add a common error of all lengths, as a share of them, to the covariance."""
+    e = np.zeros(state.size)
+    for name in ('previous', 'current'):
+        e[state.at(name).start + 3:state.at(name).stop] = getattr(state, name).t
+    e[state.at('velocity')] = state.velocity
+    e[state.at('depth_scale')] = 1
+    for id, known in state.planes.items():
+        # The anchor stays where it is, and the plane moves against it.
+        e[state.at(id)] = -known.plane * (1 - known.plane @ known.anchor)
+    state.error.P += sigma**2 * np.outer(e, e)
+
+
 def log_baseline(state: SceneState) -> tuple[float, np.ndarray]:
     """Return the log of the distance between the two poses and its derivative (n,)."""
     prev, cur = state.at('previous'), state.at('current')

@@ -144,6 +144,42 @@ def test_lost_comes_after_lost_after_and_ends_with_a_view(rng):
     np.testing.assert_allclose(found.R_world_from_cam, canyon.pose(21)[0], atol=0.05)
 
 
+def nees(canyon, estimate, k):
+    R, t = canyon.pose(k)
+    error = np.r_[t - estimate.t_world_from_cam, rotation.log(R @ estimate.R_world_from_cam.T)]
+    return error @ np.linalg.solve(estimate.pose_covariance, error)
+
+
+@pytest.mark.parametrize('lost', [1, 15])
+def test_pairs_that_never_come_are_predicted_through(rng, lost):
+    """The pair after a gap relates its own two key frames, not the last one seen to it."""
+    canyon, filter_ = Canyon(rng, 0.3), SceneFilter(METRIC)
+    before = driven(canyon, 10, filter_=filter_)[-1]
+    after = driven(canyon, 16 + lost, filter_=filter_, first=11 + lost)
+    assert after[0].status is TrackingStatus.OK
+    assert after[0].baseline == pytest.approx(0.1 * SPEED, rel=0.1)
+    assert np.trace(after[0].pose_covariance) > 1.2 * np.trace(before.pose_covariance)
+    assert all(nees(canyon, e, 11 + lost + i) < 25 for i, e in enumerate(after))
+
+
+def test_planes_that_all_contradict_the_map_are_no_support(rng):
+    canyon, filter_ = Canyon(rng, 0.3), SceneFilter(METRIC)
+    driven(canyon, 10, filter_=filter_)
+    statuses = []
+    for k in range(11, 24):
+        extraction = canyon.extraction(k)
+        factor = 3.0 if k % 2 else 1 / 3
+        wrong = tuple(replace(p, plane=factor * p.plane) for p in extraction.planes
+                      if not p.is_ground)
+        estimate, _ = filter_.step(replace(extraction, planes=wrong))
+        statuses.append(estimate.status)
+    assert statuses[:10] == [TrackingStatus.PREDICTED] * 10
+    assert statuses[-1] is TrackingStatus.LOST
+    assert 'contradict the map' in estimate.reason
+    found = driven(canyon, 43, filter_=filter_, first=24)
+    assert found[-1].status is TrackingStatus.OK
+
+
 def test_before_the_first_motion_it_is_initialising_at_the_origin():
     canyon, filter_ = Canyon(), SceneFilter(METRIC)
     first = filter_.step(canyon.blank(1, reason='11 motion vectors'))[0]

@@ -203,6 +203,18 @@ def test_scaling_the_state_commutes_with_its_errors(rng, state):
     assert nominal.depth_scale == pytest.approx(state.depth_scale + np.log(factor))
 
 
+def test_a_common_error_of_all_lengths_is_what_scaling_does(state):
+    size, before = 1e-6, deepcopy(state)
+    scaled = deepcopy(state)
+    scene_state.scale_lengths(scaled, 1 + size)
+    for id_, plane in state.planes.items():
+        scene_state.move_anchor(scaled, id_, plane.anchor)
+    e = error_between(state, scaled) / size
+    scene_state.widen_scale(state, 0.1)
+    added = state.P - before.P
+    np.testing.assert_allclose(added, 0.01 * np.outer(e, e), rtol=1e-4, atol=1e-7)
+
+
 def test_a_new_depth_scale_is_the_baseline_and_shares_its_error(state):
     value, H = scene_state.log_baseline(state)
     expected = H @ state.P
