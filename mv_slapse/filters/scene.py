@@ -46,6 +46,7 @@ class Progress:
     stamp: int
     supported: int | None = None
     metric: bool = False
+    fastest: float = 0.0
     ground_misses: int = 0
 
 
@@ -149,7 +150,10 @@ class SceneFilter:
         """Move the camera at constant velocity; the ground may slope along the way."""
         settings, state = self._settings, self._state
         speed = np.linalg.norm(state.velocity)
-        density = settings.acceleration if self._progress.metric else 0.1 * speed
+        # Not the speed now: what comes to rest could hardly start again, and the scale would shrink.
+        self._progress.fastest = max(speed, self._progress.fastest)
+        density = (settings.acceleration if self._progress.metric
+                   else settings.free_acceleration * self._progress.fastest)
         scene_state.propagate(state, dt, density, settings.angular_acceleration)
         ground = self._map.ground
         if ground in state.planes:

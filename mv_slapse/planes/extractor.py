@@ -134,15 +134,15 @@ class PlaneExtractor:
 
     def _motion(self, pair: two_view.Pair) -> MotionFit:
         """Estimate the motion from the last one or, where that fails, five points, [MVO] 4.1."""
-        predicted, fits = self._memory.motion, []
-        if predicted is not None:
-            fits.append(_refined_from(pair, predicted.R_cur_from_prev, predicted.t_cur_from_prev))
-        if not fits or fits[0].cost > PREDICTED_COST:
+        last, predicted, others = self._memory.motion, None, []
+        if last is not None:
+            predicted = _refined_from(pair, last.R_cur_from_prev, last.t_cur_from_prev)
+        if predicted is None or predicted.cost > PREDICTED_COST:
             starts = camera_motion.from_essential_matrix(
                 pair.rays_cur, pair.rays_prev, 0.7 / pair.K[0, 0])[:1]
-            starts = starts or [(np.eye(3), np.array([0.0, 0.0, -1.0]))] * (not fits)
-            fits += [_refined_from(pair, *start) for start in starts]
-        best = min(fits, key=lambda fit: fit.cost)
+            starts = starts or [(np.eye(3), np.array([0.0, 0.0, -1.0]))] * (predicted is None)
+            others = [_refined_from(pair, *start) for start in starts]
+        best = camera_motion.likeliest(predicted, others, len(pair))
         t, _ = labeling.orient(pair, best.R_cur_from_prev, best.t_cur_from_prev)
         return replace(best, t_cur_from_prev=t)
 

@@ -224,6 +224,20 @@ def test_it_drives_on_after_standing():
     assert after[-1].velocity_world @ canyon.pose(45)[0][:, 2] == pytest.approx(6.0, abs=0.3)
 
 
+def test_a_free_scale_outlasts_a_camera_that_nearly_stops():
+    def way(time):
+        """Brake from 8 m/s to 0.4 m/s in two seconds, and pull away as hard."""
+        turn = 2.0
+        if time < turn:
+            return 8 * time - 1.9 * time**2
+        return 8 * turn - 1.9 * turn**2 + 0.4 * (time - turn) + 1.9 * (time - turn)**2
+
+    canyon = Canyon(way=way)
+    estimates = driven(canyon, 40, SceneSettings())
+    unit = np.linalg.norm(canyon.motion(1)[1])
+    assert max(position_errors(canyon, estimates, scale=unit)) < 0.02 * way(4.0)
+
+
 def test_a_plane_that_moves_is_handed_to_the_tracker():
     canyon, filter_ = Canyon(), SceneFilter(METRIC)
     driven(canyon, 5, filter_=filter_)
