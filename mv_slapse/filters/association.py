@@ -1,6 +1,6 @@
 """Which detection continues which track: overlap of macroblocks and Mahalanobis distance."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from mv_slapse.filters import ekf
 from mv_slapse.filters import obstacle_motion as om
@@ -82,15 +82,18 @@ def _cost(track, detection, gate):
     return distance + OVERLAP_COST * (1 - shared) + OTHER_ID_COST * (not same_id)
 
 
-def groups(detections: Sequence[Detection], gate: float) -> list[list[Detection]]:
+def groups(detections: Sequence[Detection], gate: float,
+           owners: Mapping[int, int] | None = None) -> list[list[Detection]]:
     """Return the surfaces of each vehicle, the largest one first.
 
     Detections come largest first; each joins the first one before it that it touches and whose
-    motion it shares.
+    motion it shares. ``owners`` tells which obstacle a region's id belonged to before: one pair
+    of key frames is too short to make one vehicle of two that were followed apart.
     """
-    found: list[list[Detection]] = []
+    owners, found = owners or {}, []
     for detection in detections:
-        home = next((g for g in found if any(same_body(d, detection, gate) for d in g)), None)
+        home = next((g for g in found if any(same_body(d, detection, gate) for d in g)
+                     and len({owners[d.id] for d in (*g, detection) if d.id in owners}) < 2), None)
         if home is None:
             found.append([detection])
         else:

@@ -62,9 +62,10 @@ class ObstacleTracker:
         view = view_of(extraction, scene, self._scene)
         self._predict(extraction, scene, view)
         self._scene, self._view = scene, view
+        owners = {track.plane_id: track.id for track in self._tracks}
         found = [joined(group, view) for group in association.groups(
-            detections(extraction, view, self._settings), self._settings.gate)]
-        free = self._continue(found, extraction)
+            detections(extraction, view, self._settings), self._settings.gate, owners)]
+        free = self._continue(found, owners, extraction)
         self._search(extraction)
         free = self._absorb(free, extraction.stamp)
         self._begin(free, extraction)
@@ -84,14 +85,15 @@ class ObstacleTracker:
         self._tracks = [track for track in self._tracks
                         if track.predict(step, view, self._settings)]
 
-    def _continue(self, found, extraction):
+    def _continue(self, found, owners, extraction):
         """Update tracks by their detections; return the detections that have none."""
         pairs = association.associate(self._tracks, found, self._settings.gate)
         parts = {i: [found[j]] for i, j in pairs}
         taken, free = {j for _, j in pairs}, []
         for item in (item for j, item in enumerate(found) if j not in taken):
             home = next((i for i in parts if self._tracks[i].contains(
-                item, self._view, self._settings.gate)), None)
+                item, self._view, self._settings.gate) and owners.get(
+                    item.id, self._tracks[i].id) == self._tracks[i].id), None)
             (free if home is None else parts[home]).append(item)
         for i, group in parts.items():
             self._tracks[i].update(joined(group, self._view), extraction, self._view,

@@ -97,6 +97,10 @@ class Track:
         """Correct the state by a detection, (16), and keep what it says of the motion."""
         distance, dof = association.squared_distance(self.mu, self.P, detection)
         excess = max(1.0, distance / ekf.chi2_bound(settings.gate, dof))
+        if excess > 1 and self._disagreed(settings):
+            # Twice is no accident: it is the state that is wrong, not the detection.
+            self.state.P *= excess
+            excess = 1.0
         rate = (detection.z - self.mu)[om.RATE]
         sigma = np.sqrt(np.diag(self.P + detection.R)[om.RATE])
         self.drift = self.drift + DRIFT_GAIN * (rate / sigma - self.drift)
@@ -122,6 +126,11 @@ class Track:
         for name in ('plane_id', 'state', 'x', 'block', 'edge', 'scale_prior', 'last_seen',
                      'drift', 'evidence'):
             setattr(self, name, getattr(other, name))
+
+    def _disagreed(self, settings):
+        """Return whether the last evidence lay outside the gate."""
+        last = self.evidence[-1]
+        return last.dof > 0 and last.nis > ekf.chi2_bound(settings.gate, last.dof)
 
     def _unrest(self):
         """Return the factor on the acceleration: a constant velocity needs little of it."""

@@ -13,8 +13,8 @@ GATE = 0.999
 R = np.diag([1e-4, 1e-4, 0.01, 0.01, 0.01, 0.01, 0.1, 0.1])
 
 
-def ids(detections):
-    return [[item.id for item in group] for group in association.groups(detections, GATE)]
+def ids(detections, owners=None):
+    return [[item.id for item in group] for group in association.groups(detections, GATE, owners)]
 
 
 def blocks(column, row, across=3, down=2):
@@ -141,3 +141,10 @@ def test_a_part_lies_inside_and_moves_alike():
     assert is_part(part)
     assert not is_part(beside)
     assert not is_part(other)
+
+
+def test_regions_of_two_obstacles_never_join():
+    rear, side, roof = detection(1, 10), detection(2, 13, across=2), detection(3, 10, row=13)
+    assert ids([rear, side, roof], {1: 7, 2: 8}) == [[1, 3], [2]]
+    assert ids([rear, side, roof], {1: 7, 2: 7}) == [[1, 2, 3]]
+    assert ids([rear, side, roof], {3: 7, 2: 8}) == [[1, 2], [3]]

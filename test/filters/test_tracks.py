@@ -77,6 +77,19 @@ def test_handover_has_the_covariance_of_plane_and_velocity(rng):
     assert not np.any(handover.velocity)
 
 
+def test_a_state_that_is_wrong_comes_back_and_one_wrong_detection_does_little(rng):
+    moment = Moment(0.5, rng)
+    track, item = moment.track(), moment.detection
+    track.state.P[:2, :2] = 1e-4 * np.eye(2)
+    wrong = replace(item, z=item.z + np.r_[0.5, 0, np.zeros(6)])
+    distances = []
+    for _ in range(4):
+        track.update(wrong, moment.extraction, moment.view, SETTINGS)
+        distances.append(wrong.z[0] - track.mu[0])
+    assert distances[0] > 0.45
+    assert distances[-1] < 0.25
+
+
 def test_surfaces_of_one_vehicle_are_seen_about_the_middle_of_all_blocks(rng):
     moment = Moment(0.5, rng)
     whole, view = moment.detection, moment.view
