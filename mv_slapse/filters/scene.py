@@ -150,7 +150,7 @@ class SceneFilter:
         """Move the camera at constant velocity; the ground may slope along the way."""
         settings, state = self._settings, self._state
         speed = np.linalg.norm(state.velocity)
-        # Not the speed now: what comes to rest could hardly start again, and the scale would shrink.
+        # Not the speed now: what comes to rest could hardly start again, the scale would shrink.
         self._progress.fastest = max(speed, self._progress.fastest)
         density = (settings.acceleration if self._progress.metric
                    else settings.free_acceleration * self._progress.fastest)
