@@ -160,10 +160,12 @@ def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rul
     if plane is None:
         return None
     for _ in range(2):
+        sharp = sample[_sharp(sample, plane)]
+        if lattice.count_macroblocks(sharp.x) < rules.min_macroblocks:
+            return None
         mean, information = prior.information(plane)
         plane, covariance = consensus.refine_plane(
-            sample[_sharp(sample, plane)], plane, prior_plane=mean,
-            prior_information=DEPENDENCE * information)
+            sharp, plane, prior_plane=mean, prior_information=DEPENDENCE * information)
     member = gather(depths, plane, below_horizon & _sharp(depths, plane), rules)
     below = np.sum(sample.error(plane) < -rules.cut)
     if (lattice.count_macroblocks(depths.x[member]) < rules.min_macroblocks

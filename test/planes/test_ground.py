@@ -172,6 +172,13 @@ def test_too_few_blocks_are_no_ground(rng):
     assert ground.find_ground(depths[free[:0]], free[:0], FRESH, RULES, rng) is None
 
 
+def test_a_road_whose_depths_are_all_blurred_is_no_ground(rng):
+    depths, _, _ = road_depths(rng)
+    blurred = replace(depths, sigma=0.2 * np.maximum(depths.rho, 0.01))
+    with np.errstate(all='raise'):
+        assert ground.find_ground(blurred, np.ones(len(depths), bool), FRESH, RULES, rng) is None
+
+
 def test_a_road_far_from_where_it_was_is_not_believed(rng):
     depths, _, _ = road_depths(rng)
     elsewhere = GroundPrior(UP, 0.02, 2 / 1.6, 0.05)
