@@ -325,7 +325,9 @@ def _grown(extraction, motion_field, moving):
                         & (motion_field.x[near] <= x.max(axis=0)), axis=1)
         # What a vehicle encloses is part of it, also where its vector is wrong or another face's.
         slack = np.where(within, INSIDE, 1.0) * (ALIKE[0] + ALIKE[1] * length)
-        joins = near[(error < slack) | within & (extraction.label[near] == Label.UNKNOWN)]
+        # What is far behind a car ahead moves as it does, too.
+        fits = (error < slack) & (within | ~motion_field.far[near])
+        joins = near[fits | within & (extraction.label[near] == Label.UNKNOWN)]
         free[joins] = False
         grown.append(np.r_[member, joins])
     return grown
