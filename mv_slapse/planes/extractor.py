@@ -242,6 +242,9 @@ class PlaneExtractor:
         planes = [replace(plane, plane=value,
                           covariance=covariance[6 + 3 * i:9 + 3 * i, 6 + 3 * i:9 + 3 * i])
                   for i, (plane, value) in enumerate(zip(planes, values, strict=True))]
+        # What leans over once no prior holds it was not well seen.
+        mount = self._memory.ground.mount
+        planes = [plane for plane in planes if not plane.is_ground or mount.holds(plane.plane)]
         evidence = labeling.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
                                      settings.relief)
         return Found(fit, evidence, planes, found.moving)

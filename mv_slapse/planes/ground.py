@@ -40,6 +40,10 @@ class Mount:
         """Return the mean normal (3,), up."""
         return np.array(self.direction)
 
+    def holds(self, plane: np.ndarray) -> bool:
+        """Tell whether a plane (3,) lies as the ground may lie under any mounting."""
+        return float(self.normal @ plane) > np.cos(3 * self.widest) * np.linalg.norm(plane)
+
     def learned(self, course: np.ndarray, least: float) -> 'Mount':
         """Return the mount after one more course, a unit vector (3,) in the camera.
 

@@ -36,6 +36,13 @@ def road_depths(rng, outliers=0.0, planes=CANYON, pixel_sigma=0.3):
     return depths, scene.surface[near], wrong
 
 
+def test_no_mounting_leans_by_more_than_three_standard_deviations():
+    mount = Mount(widest=0.07)
+    assert mount.holds(pitched(0.2) / 1.65)
+    assert not mount.holds(pitched(0.22) / 1.65)
+    assert not mount.holds(-UP)
+
+
 def test_a_mount_learns_the_pitch_from_the_course():
     mount, course = Mount(), np.array([0, np.sin(-0.05), np.cos(-0.05)])
     for _ in range(200):

@@ -6,7 +6,7 @@ from mv_slapse.config import ExtractionSettings
 from mv_slapse.planes import moving_regions
 from mv_slapse.planes.extractor import PlaneExtractor
 from mv_slapse.planes.moving_regions import Memory, with_moving_planes
-from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus
+from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus, SegmentKind
 from mv_slapse.simulation.drawn import draw
 from mv_slapse.simulation.street import Street, StreetSettings
 import numpy as np
@@ -83,6 +83,35 @@ def test_an_empty_street_has_few_moving_planes(rng):
     street = street_of(parked=2)
     count = [len(found.planes) for found, _ in run(street, rng, last=54)]
     assert np.mean(count) < 0.3
+
+
+def behind_a_car_of_the_same_speed(stamp):
+    """Return a pair of a road, a car ahead at rest in the picture, and far trees above both."""
+    K, t, ground = np.array([[700.0, 0, 320], [0, 700, 180], [0, 0, 1]]), -np.eye(3)[2], np.array(
+        [0, -1 / 1.65, 0])
+    x = np.stack(np.meshgrid(np.arange(7.5, 640, 16), np.arange(7.5, 360, 16)), -1).reshape(-1, 2)
+    car = (np.abs(x[:, 0] - 320) < 60) & (x[:, 1] > 180) & (x[:, 1] < 290)
+    road, trees = ~car & (x[:, 1] > 190), ~car & (x[:, 1] < 180) & (x[:, 1] > 60)
+    rays = np.c_[(x - (320, 180)) / 700, np.ones(len(x))]
+    X = rays / np.maximum(-rays @ ground, 1e-3)[:, None]
+    x_prev = np.where(road[:, None], (X - t)[:, :2] / (X - t)[:, 2:] * 700 + (320, 180), x)
+    kept = car | road | trees
+    n = kept.sum()
+    return Extraction(
+        stamp, stamp - 1, 640, 360, SegmentKind.PP, K,
+        CameraMotion(MotionStatus.MOVING, np.eye(3), t), (), '', x[kept].astype(np.float32),
+        x_prev[kept].astype(np.float32), np.full(n, 0.3, np.float32),
+        np.full((n, 2), 16, np.uint8), np.where(trees[kept], 2, 0).astype(np.int8),
+        np.full(n, -1, np.int32)), car[kept], trees[kept], ground
+
+
+def test_what_is_far_behind_a_car_ahead_is_no_part_of_it():
+    memory = Memory()
+    for stamp in range(1, 5):
+        pair, car, trees, ground = behind_a_car_of_the_same_speed(stamp)
+        found, memory = with_moving_planes(pair, ground, memory, THRESHOLD)
+    assert np.mean(found.label[car] == Label.MOVING) > 0.6
+    assert not np.any(found.label[trees] == Label.MOVING)
 
 
 def test_the_id_of_a_mover_lasts(rng):
