@@ -1,0 +1,130 @@
+"""A flight through a furnished room, seen through a lens: six degrees of freedom, no road.
+
+Built in {S} (the room: floor at y = 0, y down) and given in {W}, the camera of the first frame.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+from mv_slapse.config import Checked, setting
+from mv_slapse.geometry.camera import Camera, to_pixels, to_rays, undistort
+from mv_slapse.simulation.buildings import Scene
+from mv_slapse.simulation.render import Renderer
+from mv_slapse.simulation.surfaces import Quads
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+ROOM = (9.0, 4.0, 11.0)  # across, high, long [m]
+REACH = np.array([2.2, 0.7, 2.8])  # of the flight about its middle [m]
+MIDDLE = np.array([0.0, -1.9, 0.0])
+RATIOS = np.array([1.0, 1.3, 0.8])  # of the frequencies along the axes
+WAY = 2.3  # mean speed over the frequency of the flight [m]
+TURNS = np.array([0.9, 0.12, 0.12])  # amplitude of yaw, pitch and roll [rad]
+TURN_RATES = np.array([0.6, 1.1, 0.9])  # their frequencies [rad/s]
+
+#: lenses as their calibrations are published for flights: 94 and 160 deg wide
+WIDE = Camera(752, 480, np.array([[458.7, 0, 367.2], [0, 457.3, 248.4], [0, 0, 1]]),
+              'plumb_bob', np.array([-0.2834, 0.07396, 0.00019, 1.76e-05, 0]))
+FISHEYE = Camera(640, 480, np.array([[278.7, 0, 319.8], [0, 278.5, 242.0], [0, 0, 1]]),
+                 'equidistant', np.array([-0.0137, 0.02064, -0.0128, 0.0025]))
+
+
+@dataclass(frozen=True)
+class FlightSettings(Checked):
+    """How the camera flies; the seed settles the rest."""
+
+    seed: int = setting(0, '-', 'another seed is another room and another flight', 0)
+    n_frames: int = setting(150, '-', 'length of the clip', 1)
+    fps: float = setting(25.0, 'Hz', 'frame rate', 1.0, 240.0)
+    speed: float = setting(2.0, 'm/s', 'mean speed', 0.0, 20.0)
+    spin: float = setting(1.0, '-', 'factor on all turning', 0.0, 5.0)
+    furniture: int = setting(5, '-', 'boxes on the floor', 0, 50)
+    noise: float = setting(1.8, 'grey', 'standard deviation of the sensor noise', 0.0, 50.0)
+    contrast: float = setting(1.0, '-', 'factor on the contrast of the textures', 0.0, 3.0)
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What Renderer needs to know of the ideal picture."""
+
+    seed: int
+    n_frames: int
+    width: int
+    height: int
+    noise: float
+    contrast: float
+
+
+class Flight:
+    """A room and a camera that flies through it; the same settings give the same flight."""
+
+    def __init__(self, lens: Camera = WIDE, settings: FlightSettings = FlightSettings()):
+        """Build the room of the seed; ``lens`` is the camera of the pictures."""
+        rng = np.random.default_rng(settings.seed)
+        self.flight, self.lens = settings, lens
+        self._phase, self._turn_phase = rng.uniform(0, 2 * np.pi, (2, 3))
+        self._room = room(settings.furniture, rng)
+        self._map, self.camera = _ideal(lens)
+        self.settings = Sight(settings.seed, settings.n_frames, self.camera.width,
+                              self.camera.height, settings.noise, settings.contrast)
+        self._start = self._pose_in_room(0.0)
+
+    def stamp(self, i: int) -> int:
+        """Return the time of frame i [ns]."""
+        return round(i * 1e9 / self.flight.fps)
+
+    def pose(self, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return (R_world_from_cam, t_world_from_cam) of frame i."""
+        (A, a), (R, t) = self._start, self._pose_in_room(i / self.flight.fps)
+        return A.T @ R, A.T @ (t - a)
+
+    def quads_in_camera(self, i: int) -> Quads:
+        """Return all surfaces in the camera of frame i."""
+        R, t = self._pose_in_room(i / self.flight.fps)
+        return self._room.moved(R.T, -R.T @ t)
+
+    def pictures(self) -> Iterator[np.ndarray]:
+        """Render all frames (H, W) uint8 as the lens shows them."""
+        for frame in Renderer(self).frames():
+            yield cv2.remap(frame.image, self._map, None, cv2.INTER_LINEAR)
+
+    def _pose_in_room(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+        swing = self.flight.speed / WAY * time * RATIOS + self._phase
+        turn = TURN_RATES * time + self._turn_phase
+        R = Rotation.from_euler('YXZ', self.flight.spin * TURNS * np.sin(turn))
+        return R.as_matrix(), MIDDLE + REACH * np.sin(swing)
+
+
+def room(n_boxes: int, rng: np.random.Generator) -> Quads:
+    """Return floor, ceiling, four walls and boxes on the floor, in {S}."""
+    scene, (wide, high, long) = Scene(), ROOM
+    _box(scene, 'room', np.array([-wide / 2, -high, -long / 2]), np.array(ROOM),
+         ('shops', 'brick', 'panels', 'windows', 'paving', 'plaster'), rng)
+    for i in range(n_boxes):
+        size = rng.uniform(0.5, 1.2, 3) * (1, 1.5, 1)
+        corner = np.array([rng.uniform(-3.5, 3.5), -size[1], rng.uniform(-4.5, 4.5)])
+        _box(scene, f'box {i}', corner, size, rng.choice(['panels', 'brick', 'shops'], 6), rng)
+    return scene.quads()
+
+
+def _box(scene: Scene, name: str, corner, size, textures, rng):
+    """Add the six faces of a box; seen from within and without alike."""
+    x, y, z = np.diag(size)
+    faces = ((corner + z, x, y), (corner, x, y), (corner, z, y), (corner + x, z, y),
+             (corner + y, x, z), (corner, x, z))
+    for (place, u, v), texture in zip(faces, textures, strict=True):
+        scene.add(name, place, u, v, str(texture), shift=tuple(rng.uniform(size=2)),
+                  shade=rng.uniform(0.8, 1.1))
+
+
+def _ideal(lens: Camera) -> tuple[np.ndarray, Camera]:
+    """Return a pinhole camera that sees what the lens does, and where each pixel looks there."""
+    x = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), -1).reshape(-1, 2)
+    rays = to_rays(lens.K, undistort(lens, x))
+    # As sharp as the lens in the middle, or as wide pictures can be rendered.
+    focal = min(lens.K[0, 0], 1300 / np.abs(rays[:, 0]).max())
+    width, height = (int(2 * focal * reach) + 4 for reach in np.abs(rays[:, :2]).max(axis=0))
+    K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+    at = to_pixels(K, rays).reshape(lens.height, lens.width, 2)
+    return at.astype(np.float32), Camera(width, height, K)
