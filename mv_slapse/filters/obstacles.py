@@ -153,7 +153,7 @@ class ObstacleTracker:
         """Confirm, hand over and expire tracks; return what is left and what is handed over."""
         given = []
         for track in self._tracks:
-            track.confirmed |= self._stands_on_ground(track) and management.confirms(
+            track.confirmed |= self._may_drive(track) and management.confirms(
                 track.evidence, self._view.is_metric, self._settings)
             if track.confirmed and self._has_stopped(track, extraction):
                 given.append(track)
@@ -163,9 +163,12 @@ class ObstacleTracker:
         self._used |= {track.id for track in self._tracks if track.confirmed}
         return self._obstacles(extraction.stamp), handed
 
-    def _stands_on_ground(self, track):
-        """Tell whether an obstacle touches the ground, where there is one: others float on air."""
-        return self._view.ground is None or track.scale_prior is ScalePrior.GROUND_CONTACT
+    def _may_drive(self, track):
+        """Tell whether an obstacle touches the ground, where there is one, and is no building."""
+        if self._view.ground is None:
+            return True
+        return (track.scale_prior is ScalePrior.GROUND_CONTACT
+                and track.height(self._view) <= self._view.tallest)
 
     def _has_stopped(self, track, extraction):
         unit = self._view.speed_unit

@@ -7,6 +7,8 @@ from mv_slapse.records import Extraction, MotionStatus, ScaleStatus, SceneEstima
 import numpy as np
 
 UNSCALED_SPEED = 0.1  # 1 m/s as a share of the camera's speed, where no scale is known
+TALLEST = 5.0  # [m] a lorry of 4 m, seen to a macroblock or so
+TALLEST_UNSCALED = 3.0  # the same in camera heights
 LEAST_SPEED_ERROR = 0.01  # share of the camera's speed, if its filter claims to know better
 
 
@@ -57,6 +59,11 @@ class View:
         """Return what to take for 1 m/s [map unit/s]: at free scale the camera drives 10 m/s."""
         speed = float(np.linalg.norm(self.scene_velocity))
         return 1.0 if self.is_metric or speed < 1e-6 else UNSCALED_SPEED * speed
+
+    @property
+    def tallest(self) -> float:
+        """Return how tall [map unit] an obstacle may be, given a ground."""
+        return TALLEST if self.is_metric else TALLEST_UNSCALED / np.linalg.norm(self.ground)
 
     def to_world(self, X_cam: np.ndarray) -> np.ndarray:
         """Return points (N, 3) or (3,) of the camera frame in {W}."""

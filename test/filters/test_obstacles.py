@@ -12,6 +12,7 @@ from mv_slapse.records import (
     PlaneHandover,
     PlaneObservation,
     ScalePrior,
+    ScaleStatus,
 )
 import numpy as np
 import pytest
@@ -246,12 +247,31 @@ def test_what_floats_above_the_horizon_is_never_confirmed(rng):
     assert not any(usable(obstacles) for _, obstacles, _ in result)
 
 
+@pytest.mark.parametrize('is_metric', [True, False])
+def test_a_lorry_is_confirmed_and_what_is_taller_never(rng, is_metric):
+    for size, is_obstacle in (((2.5, 3.8), True), ((4.0, 8.0), False)):
+        drive = Drive((Mover(1, (0, 25), (0, 14), size=size),))
+        result = run(drive if is_metric else free_scale(drive), rng, 1.0)
+        assert any(obstacles for _, obstacles, _ in result)
+        assert any(usable(obstacles) for _, obstacles, _ in result) == is_obstacle
+
+
 def test_motion_against_the_scene_is_confirmed_without_ground(rng):
     drive = replace_ground(Drive((Mover(1, (0.5, 12), (0, 14)),)))
     result = run(drive, rng, 1.5)
     assert usable(result[-1][1])
     # Its depth is a guess, and says so.
     assert np.sqrt(usable(result[-1][1])[0].covariance[2, 2]) > 2
+
+
+def free_scale(drive):
+    """Return the drive with lengths of unknown unit."""
+    return FreeScale(drive.movers, drive.speed, drive.omega, drive.sigma, drive.scale_sigma)
+
+
+class FreeScale(Drive):
+    def scene(self, before, now, rng=None):
+        return replace(super().scene(before, now, rng), scale_status=ScaleStatus.UNKNOWN)
 
 
 def replace_ground(drive):
