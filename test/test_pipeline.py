@@ -18,6 +18,7 @@ from mv_slapse.records import (
     TrackingStatus,
 )
 from mv_slapse.simulation.drawn import draw, draw_pair
+from mv_slapse.simulation.paths import steady
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.storage.tum import read_trajectory, Trajectory
@@ -78,6 +79,29 @@ def test_the_trajectory_stays_within_two_percent_of_the_way(settings):
     assert position.max() < 0.02 * 20
     assert np.degrees(turn.max()) < 0.4
     assert all(step.scene.status is TrackingStatus.OK for step in steps)
+
+
+def between_buses(seed):
+    """Return a street with a bus right ahead and one in the next lane, 40 % of the blocks."""
+    street = Street(StreetSettings(seed=seed, n_frames=61, movers=('same_speed', 'slower')))
+    bus = {'size': (2.6, 3.4, 9.0)}
+    street.movers = tuple(
+        replace(car, start=start, profile=steady(speed), **bus)
+        for car, start, speed in zip(street.movers, (13.5, 9.0), (10.3, 9.5), strict=True))
+    return street
+
+
+def test_traffic_on_two_fifths_of_the_picture_leaves_the_trajectory():
+    street = between_buses(0)
+    rng = np.random.default_rng(0)
+    pairs = [draw(street, STRIDE * (k - 1), STRIDE * k, rng) for k in range(1, 21)]
+    assert np.mean([np.mean(pair.label == Label.MOVING) for pair in pairs]) > 0.35
+    steps = run(street, [pair.correspondences for pair in pairs])
+    position, turn = errors(street, steps)
+    assert position.max() < 0.01 * 20
+    assert np.degrees(turn.max()) < 1.0
+    buses = {o.id for o in steps[-1].obstacles if o.state is ObstacleState.CONFIRMED}
+    assert buses
 
 
 def test_without_camera_height_it_is_the_same_shape_at_another_scale(straight):
