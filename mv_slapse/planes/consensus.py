@@ -57,14 +57,18 @@ def sample_planes(depths: Depths, radius: float, trials: int, rng: np.random.Gen
     return -np.linalg.solve(M[good], depths.rho[triple[good]][..., None])[..., 0]
 
 
-def best_plane(depths: Depths, planes: np.ndarray, cut: float = 3.0, prior=None):
+def best_plane(depths: Depths, planes: np.ndarray, cut: float = 3.0, prior=None,
+               blur: float = np.inf):
     """Return the plane (3,) with the least truncated squared error and its cost, or None.
 
-    ``prior`` (T,) is added to the cost of each hypothesis, in units of outliers.
+    ``prior`` (T,) is added to the cost of each hypothesis, in units of outliers. What would not
+    know its depth on a plane to a share ``blur`` of it speaks for none: far planes explain it all.
     """
     if not len(planes):
         return None, np.inf
-    error = np.square((depths.rho + planes @ depths.rays.T) / depths.sigma)
+    expected = -planes @ depths.rays.T
+    error = np.square((depths.rho - expected) / depths.sigma)
+    error[depths.sigma > blur * expected] = np.inf
     cost = np.minimum(error, cut**2).sum(axis=1) / cut**2
     cost = cost if prior is None else cost + prior
     best = int(np.argmin(cost))

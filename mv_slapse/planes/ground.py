@@ -160,7 +160,8 @@ def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rul
     hypotheses = np.vstack([level, tilted])
     distance = prior.distance(hypotheses)
     near = distance < 9
-    plane, _ = consensus.best_plane(sample, hypotheses[near], rules.cut, prior=distance[near])
+    plane, _ = consensus.best_plane(sample, hypotheses[near], rules.cut, prior=distance[near],
+                                    blur=MAX_BLUR)
     if plane is None:
         return None
     for _ in range(2):

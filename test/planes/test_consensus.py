@@ -79,6 +79,17 @@ def test_a_prior_turns_the_choice(scene):
     assert cost < 1e6
 
 
+def test_a_far_plane_is_not_chosen_for_blocks_that_would_fit_any(rng):
+    rays = np.c_[rng.uniform(-0.5, 0.5, 80), rng.uniform(0.1, 0.4, 80), np.ones(80)]
+    near, far = np.array([0, -1.0, 0]), np.array([0, -0.02, 0])
+    on_it = np.arange(80) < 20
+    rho = np.where(on_it, -rays @ near, 0.02 * rng.uniform(size=80))
+    depths = Depths(rays, rho, np.full(80, 0.01), np.zeros((80, 2)))
+    planes = np.stack([near, far])
+    np.testing.assert_array_equal(consensus.best_plane(depths, planes)[0], far)
+    np.testing.assert_array_equal(consensus.best_plane(depths, planes, blur=0.1)[0], near)
+
+
 def test_no_hypotheses_give_no_plane(scene):
     assert consensus.best_plane(depths_of(scene), np.zeros((0, 3))) == (None, np.inf)
 
