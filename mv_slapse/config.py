@@ -146,7 +146,8 @@ class SceneSettings(Checked):
         0.02, 'rad', 'standard deviation of a vehicle\'s course from the plane of the ground: '
         'heave and pitch', 1e-4, 1.0)
     acceleration: float = setting(
-        0.7, 'm/s^1.5', 'random walk of the velocity where the scale is metric', 0.0)
+        1.5, 'm/s^1.5', 'random walk of the velocity where the scale is metric: a car brakes '
+        'with 5 m/s^2', 0.0)
     free_acceleration: float = setting(
         0.5, 's^-0.5', 'the same where it is free, as a share of the greatest speed so far: a '
         'flight turns round in 2 s', 0.0)

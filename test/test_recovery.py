@@ -5,7 +5,7 @@ from dataclasses import replace
 from mv_slapse.config import SceneSettings, Settings
 from mv_slapse.geometry import rotation
 from mv_slapse.pipeline import Slapse
-from mv_slapse.records import SegmentKind, TrackingStatus
+from mv_slapse.records import MotionStatus, SegmentKind, TrackingStatus
 from mv_slapse.simulation.noise import NoisyVectors, VectorNoise
 from mv_slapse.simulation.street import Street, StreetSettings
 import numpy as np
@@ -55,3 +55,23 @@ def test_lost_after_a_second_and_back_with_the_next_good_pair(fails, height):
     after = estimates[-1].baseline * unit
     truth = np.linalg.norm(street.pose(STEP * n)[1] - street.pose(STEP * (n - 1))[1])
     assert after == pytest.approx(truth, rel=0.15)
+
+
+@pytest.mark.parametrize('height', [0.0, 1.65])
+def test_a_camera_that_turns_on_the_spot_stays_where_it_is_and_keeps_its_scale(height):
+    street = Street(StreetSettings(seed=2, n_frames=150, movers=(), standstill=(1.5, 3.0),
+                                   pan=40.0))
+    vectors = NoisyVectors(street, VectorNoise(sigma=0.2), np.random.default_rng(0))
+    whole = Slapse(street.camera, Settings(scene=SceneSettings(camera_height=height)))
+    unit = 1.0 if height else np.linalg.norm(street.pose(STEP)[1])
+    places, lengths = [], []
+    for i in range(0, 147, STEP):
+        step = whole.step(vectors.pair(i, i + STEP))
+        if street.time(i) >= 1.65 and street.time(i + STEP) <= 2.9:
+            assert step.extraction.motion.status is MotionStatus.ROTATION_ONLY
+            places.append(unit * step.scene.t_world_from_cam)
+        truth = np.linalg.norm(street.pose(i + STEP)[1] - street.pose(i)[1])
+        lengths.append(unit * step.scene.baseline / max(truth, 1e-9))
+    assert len(places) > 8
+    assert np.ptp(places, axis=0).max() < 0.01
+    np.testing.assert_allclose(lengths[-8:], 1, atol=0.08)

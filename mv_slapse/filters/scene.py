@@ -1,23 +1,24 @@
 """Filter of the camera and the stationary planes: SceneFilter.step, [SLAPSE] VI, [MVO] 5."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import (
     scene_gate,
+    scene_input,
     scene_map,
     scene_observations,
+    scene_rest,
     scene_state,
     scene_update,
 )
 from mv_slapse.filters.scene_noise import Dependence, HeightWander
 from mv_slapse.filters.scene_observations import Observe
+from mv_slapse.filters.scene_progress import Progress
 from mv_slapse.filters.scene_state import AnchoredPlane, Pose, SceneState
-from mv_slapse.geometry import two_view
-from mv_slapse.geometry.camera import to_rays
-from mv_slapse.planes import lattice
+from mv_slapse.geometry import rotation, two_view
 from mv_slapse.records import (
     Extraction,
     Label,
@@ -28,26 +29,19 @@ from mv_slapse.records import (
     TrackingStatus,
 )
 import numpy as np
-from scipy import ndimage
 
 UP_CAM = np.array([0.0, -1.0, 0.0])
 GROUND_PATIENCE = 5  # key frames
+START = 3.0  # factor on the random walk of the velocity while the camera starts to move
+REST_SIGMA = 1.0  # of the log of a first baseline that is guessed
+SLOW = 0.1  # share of the highest speed that is guessed where a start shows no known plane
+STANDING = 'the camera stands still'
+TURNING = 'the camera turns on the spot'
 SCALELESS = ('no known plane is in view: the direction of the way is observed, its length is '
              'predicted')
 CONTRADICTED = 'all known planes in view contradict the map'
 FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
 FIRST_HEIGHT_SIGMA = 0.1  # of the ground's depth in the one pair that makes the scale metric
-
-
-@dataclass
-class Progress:
-    """Where the filter stands: time, last accepted observation, scale."""
-
-    stamp: int
-    supported: int | None = None
-    metric: bool = False
-    fastest: float = 0.0
-    ground_misses: int = 0
 
 
 class SceneFilter:
@@ -108,6 +102,8 @@ class SceneFilter:
         self._progress.stamp = extraction.stamp
         if status == MotionStatus.STANDSTILL:
             return self._stand(extraction)
+        if status == MotionStatus.ROTATION_ONLY:
+            return self._turn(extraction, dt)
         if self._progress.supported is None and status != MotionStatus.MOVING:
             return TrackingStatus.INITIALISING, extraction.reason
         self._predict(dt)
@@ -132,19 +128,36 @@ class SceneFilter:
         """Zero-velocity update: the pose stays exactly as it is, so nothing drifts."""
         state = self._state
         state.previous = state.current.copy()
-        for name in ('velocity', 'omega'):
-            at = state.at(name)
-            state.error.P[at, :] = 0
-            state.error.P[:, at] = 0
-            state.error.P[at, at] = np.eye(3) * 1e-4
-            state.error.lasting[at] = 0
-        state.velocity, state.omega = np.zeros(3), np.zeros(3)
+        if not self._progress.started:
+            return self._rested(extraction, STANDING)
+        scene_state.halt(state, np.zeros(3), np.eye(3) * 1e-4)
         prev, cur = state.at('previous'), state.at('current')
         state.error.P[prev, :] = state.error.P[cur, :]
         state.error.P[:, prev] = state.error.P[:, cur]
         state.error.lasting[prev] = state.error.lasting[cur]
-        self._progress.supported = extraction.stamp
-        return TrackingStatus.OK, 'the camera stands still'
+        return self._rested(extraction, STANDING)
+
+    def _rested(self, extraction: Extraction, reason: str):
+        """Note that the camera has not moved; planes out of view do not age meanwhile."""
+        progress = self._progress
+        progress.rested = progress.started
+        progress.supported = extraction.stamp
+        self._map.wait(extraction.stamp - extraction.previous_stamp)
+        return TrackingStatus.OK, reason
+
+    def _turn(self, extraction: Extraction, dt: float):
+        """Turn a camera that stays where it is, but for a pixel of the nearest plane."""
+        motion, started = extraction.motion, self._progress.started
+        focal = extraction.K[0, 0]
+        noise = motion.covariance[:3, :3] * self._dependence.value + np.eye(3) * (
+            self._settings.vector_bias / focal)**2
+        scene_state.turn_on_the_spot(
+            self._state, motion.R_cur_from_prev, noise,
+            started * scene_rest.reach(self._state) / focal)
+        if not started:
+            return TrackingStatus.INITIALISING, TURNING
+        scene_state.halt(self._state, -rotation.log(motion.R_cur_from_prev) / dt, noise / dt**2)
+        return self._rested(extraction, TURNING)
 
     def _predict(self, dt: float):
         """Move the camera at constant velocity; the ground may slope along the way."""
@@ -154,6 +167,8 @@ class SceneFilter:
         self._progress.fastest = max(speed, self._progress.fastest)
         density = (settings.acceleration if self._progress.metric
                    else settings.free_acceleration * self._progress.fastest)
+        # Between two key frames a start is no random walk.
+        density *= START if self._progress.rested else 1.0
         scene_state.propagate(state, dt, density, settings.angular_acceleration)
         ground = self._map.ground
         if ground in state.planes:
@@ -173,30 +188,34 @@ class SceneFilter:
 
     def _correct(self, extraction: Extraction, follows: bool):
         """Update with the pair's correspondences and with what is known of the scale."""
-        first, baseline = self._progress.supported is None, self._baseline(extraction)
-        pair, plane_id = _stationary(extraction)
+        first, baseline = not self._progress.started, self._baseline(extraction)
+        pair, plane_id = scene_input.stationary(extraction)
         settings = self._measured(pair, extraction)
-        self.distances = scene_gate.distances(self._state, extraction, settings)
+        shown = self._shown(extraction, baseline)
+        expected = replace(self._state, current=shown) if self._progress.rested else self._state
+        self.distances = scene_gate.distances(expected, extraction, settings)
         known = {id for id, squared in self.distances.items() if squared < settings.gate}
         ground = self._trusted_ground(extraction, known)
-        shown = self._shown(extraction, baseline)
         ids = self._join(extraction, known, ground, baseline, shown)
         index = np.full(len(pair), -1)
         for i, id in enumerate(ids):
             index[plane_id == id] = i
         start = self._state.error_to(replace(self._state, current=shown))
-        ratio_known = not first and follows and np.isfinite(extraction.baseline_ratio_sigma)
-        observations = [*self._rigid(extraction, ground, first),
+        ratio_known = (follows and self._progress.carried
+                       and bool(np.isfinite(extraction.baseline_ratio_sigma)))
+        observations = [*self._rigid(extraction, ground), *self._gauge(baseline),
                         *self._ratio(extraction, ratio_known, settings)]
-        self._state = scene_update.update(self._state, start, pair, index, ids, settings,
-                                          observations)
+        self._state = scene_update.update(
+            self._state, start, pair, index, ids, settings, observations)
         if not ratio_known:
-            scene_state.begin_depth_scale(self._state, settings.ratio_sigma)
+            self._progress.carried = scene_state.begin_depth_scale(
+                self._state, settings.ratio_sigma)
         self._height = self._height.seen(self._state, extraction, settings)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
         if first or known or ratio_known and not self.distances:
             self._progress.supported = extraction.stamp
+            self._progress.rested, self._progress.started = False, True
             return TrackingStatus.OK, ''
         return self._unsupported(extraction.stamp, CONTRADICTED if self.distances else SCALELESS)
 
@@ -221,16 +240,21 @@ class SceneFilter:
         settings, progress = self._settings, self._progress
         guess = np.linalg.norm(self._state.current.t - self._state.previous.t)
         ground = scene_gate.ground_plane(extraction)
+        if progress.rested:
+            height = progress.metric * settings.camera_height
+            slow = SLOW * progress.fastest * (extraction.stamp - extraction.previous_stamp) * 1e-9
+            return scene_rest.first_baseline(self._state, extraction, height) or max(guess, slow)
         if not progress.metric and settings.camera_height and ground is not None:
             # The camera's height is the ground's depth: 1 / |n/d| in units of the baseline.
             metric = settings.camera_height * float(np.linalg.norm(ground))
-            if progress.supported is not None:
+            if progress.started:
                 scene_state.scale_lengths(self._state, metric / max(guess, 1e-9))
+                self._progress.fastest *= metric / max(guess, 1e-9)
                 self._map.scale(metric / max(guess, 1e-9))
                 scene_state.widen_scale(self._state, FIRST_HEIGHT_SIGMA)
             progress.metric = True
             return metric
-        return guess if progress.supported is not None and guess > 1e-9 else 1.0
+        return guess if progress.started and guess > 1e-9 else 1.0
 
     def _join(self, extraction: Extraction, known: set[int], ground: int | None,
               baseline: float, shown: Pose) -> list[int]:
@@ -275,8 +299,19 @@ class SceneFilter:
                                      float(np.hypot(sampling, settings.ratio_drift)))
         return [partial(scene_observations.baseline_ratio, sigma=settings.ratio_sigma)]
 
-    def _rigid(self, extraction: Extraction, ground: int | None, first: bool) -> list[Observe]:
-        """Return what is known of a mounted camera, or else the gauge.
+    def _gauge(self, baseline: float) -> list[Observe]:
+        """Return the length of the first baseline, which is the unit, or the guess after a rest.
+
+        Predicted from rest a baseline is zero, about which its direction would mean nothing.
+        """
+        progress = self._progress
+        if progress.started and not progress.rested:
+            return []
+        sigma = REST_SIGMA if progress.started or progress.metric else 1e-3
+        return [partial(scene_observations.baseline, length=baseline, sigma=sigma)]
+
+    def _rigid(self, extraction: Extraction, ground: int | None) -> list[Observe]:
+        """Return what is known of a mounted camera.
 
         The height's error lasts over key frames: as white noise it has to be larger.
         """
@@ -291,13 +326,13 @@ class SceneFilter:
                     partial(scene_observations.mounting, ground=ground,
                             sigma=settings.mounting_sigma),
                     partial(scene_observations.level_course, sigma=settings.course_sigma)]
-        return [partial(scene_observations.unit_baseline, sigma=1e-3)] if first else []
+        return []
 
     def _forget(self, stamp: int):
         """Marginalise planes out that have had no support for long."""
         lifetime = self._settings.plane_lifetime * 1e9
         for id in list(self._state.planes):
-            if stamp - self._map.last_seen(id) > lifetime:
+            if self._map.unseen_for(id, stamp) > lifetime:
                 self._state.remove_plane(id)
                 self._map.remove(id)
 
@@ -341,30 +376,3 @@ class SceneFilter:
             ScaleStatus.METRIC if metric else ScaleStatus.UNKNOWN, source,
             self._map.planes(state),
             float(np.linalg.norm(state.current.t - state.previous.t)))
-
-
-def _stationary(extraction: Extraction):
-    """Return the stationary correspondences and the plane id of each (N,)."""
-    stationary = ((extraction.label == Label.STATIONARY) | (extraction.label == Label.INFINITY))
-    stationary &= ~_beside_movers(extraction)
-    x_cur, x_prev = (x[stationary].astype(float) for x in (extraction.x_cur, extraction.x_prev))
-    pair = two_view.Pair(to_rays(extraction.K, x_cur), to_rays(extraction.K, x_prev), x_prev,
-                         extraction.sigma[stationary].astype(float), extraction.K)
-    return pair, extraction.plane_id[stationary]
-
-
-def _beside_movers(extraction: Extraction) -> np.ndarray:
-    """Return the blocks (N,) on no plane that touch a macroblock of a mover.
-
-    Half of them are the mover's own, and one that drives ahead along the camera's way nearly
-    keeps the epipolar geometry: the turn of each pair would lean by half a standard deviation.
-    """
-    moving = extraction.label == Label.MOVING
-    if not moving.any():
-        return moving
-    shape = lattice.shape_of(extraction.width, extraction.height, lattice.MACROBLOCK)
-    cell = lattice.cells(extraction.x_cur, shape, lattice.MACROBLOCK)
-    taken = np.zeros(shape, bool)
-    taken[tuple(index[moving] for index in cell)] = True
-    near = ndimage.binary_dilation(taken, np.ones((3, 3)))[cell]
-    return near & (extraction.plane_id < 0)

@@ -32,6 +32,7 @@ class SceneMap:
     def __init__(self):
         """Start empty."""
         self._sightings: dict[int, Sighting] = {}
+        self._waited, self._seen = 0, {}
 
     @property
     def ground(self) -> int | None:
@@ -39,17 +40,22 @@ class SceneMap:
         grounds = [id for id, sighting in self._sightings.items() if sighting.is_ground]
         return max(grounds, key=lambda id: self._sightings[id].last_stamp, default=None)
 
-    def last_seen(self, id: int) -> int:
-        """Return the stamp at which a plane had support last [ns]."""
-        return self._sightings[id].last_stamp
-
     def remove(self, id: int):
         """Forget a plane."""
-        del self._sightings[id]
+        del self._sightings[id], self._seen[id]
+
+    def wait(self, time: int):
+        """Let no plane age for a time [ns] in which nothing new came into view."""
+        self._waited += time
+
+    def unseen_for(self, id: int, stamp: int) -> int:
+        """Return for how long a plane was out of view [ns], rests left out."""
+        return stamp - self._waited - self._seen[id]
 
     def adopt(self, id: int, stamp: int):
         """Begin the history of a plane that another filter hands over."""
         self._sightings[id] = Sighting(stamp, stamp)
+        self._seen[id] = stamp - self._waited
 
     def scale(self, factor: float):
         """Multiply all lengths by a factor."""
@@ -64,6 +70,7 @@ class SceneMap:
                            if id in state.planes}
         for id, plane in seen.items():
             old = self._sightings.get(id, Sighting(extraction.stamp, extraction.stamp))
+            self._seen[id] = extraction.stamp - self._waited
             points = _points(state, id, extraction)
             self._sightings[id] = Sighting(
                 old.first_stamp, extraction.stamp, old.n_observations + 1, plane.n_macroblocks,

@@ -69,10 +69,13 @@ def mounting(state: SceneState, ground: int, sigma: float) -> Observation:
     return Observation(state.mount - normal, H, np.eye(3) * sigma**2)
 
 
-def unit_baseline(state: SceneState, sigma: float) -> Observation:
-    """Observe a distance of one between the two poses: the gauge where scale is free."""
+def baseline(state: SceneState, length: float, sigma: float) -> Observation:
+    """Observe the distance between the two poses [map unit] but for sigma, a share of it.
+
+    Where the scale is free the first one is the gauge: 1.
+    """
     value, H = log_baseline(state)
-    return Observation(np.array([-value]), H[None], np.eye(1) * sigma**2)
+    return Observation(np.array([np.log(length) - value]), H[None], np.eye(1) * sigma**2)
 
 
 def baseline_ratio(state: SceneState, sigma: float) -> Observation:

@@ -13,6 +13,7 @@ from mv_slapse.geometry import rotation
 import numpy as np
 
 CAMERA_BLOCKS = ('previous', 'current', 'velocity', 'omega')
+FAINT = 0.5  # of the log of a baseline: beyond, it may as well be none at all
 LASTING = 4  # errors that are not estimated: turn by which all vectors err, camera height
 
 
@@ -148,6 +149,35 @@ def _integrated_noise(Q, value: slice, rate: slice, density: float, dt: float):
     Q[rate, value] += np.eye(3) * q * dt**2 / 2
 
 
+def halt(state: SceneState, omega: np.ndarray, covariance: np.ndarray):
+    """Set the velocity to zero and the angular velocity (3,) [rad/s] with its covariance (3, 3).
+
+    Both are seen, whatever was predicted: a stop may be too sudden for a random walk.
+    """
+    for name in ('velocity', 'omega'):
+        at = state.at(name)
+        state.error.P[at], state.error.P[:, at], state.error.lasting[at] = 0, 0, 0
+    vel, om = state.at('velocity'), state.at('omega')
+    state.error.P[vel, vel], state.error.P[om, om] = np.eye(3) * 1e-4, covariance
+    state.velocity, state.omega = np.zeros(3), omega
+
+
+def turn_on_the_spot(state: SceneState, R_cur_from_prev: np.ndarray, covariance: np.ndarray,
+                     sigma: float):
+    """Clone the pose and turn it; covariance (3, 3) of the turn, sigma [unit] of the place."""
+    prev, cur = state.at('previous'), state.at('current')
+    F = np.eye(state.size)
+    F[prev], F[cur, cur] = 0, np.eye(6)
+    F[prev, cur] = np.eye(6)
+    F[cur.start:cur.start + 3, cur.start:cur.start + 3] = R_cur_from_prev
+    Q = np.zeros_like(F)
+    Q[cur.start:cur.start + 3, cur.start:cur.start + 3] = covariance
+    Q[cur.start + 3:cur.stop, cur.start + 3:cur.stop] = np.eye(3) * sigma**2
+    state.previous = state.current.copy()
+    state.current = Pose(state.current.R @ R_cur_from_prev.T, state.current.t.copy())
+    ekf.predict(state.error, state.error.mu, F, Q)
+
+
 def plane_in_camera(state: SceneState, id: int) -> np.ndarray:
     """Return a plane n / d in the current camera, (16) of [MVO]."""
     plane, pose = state.planes[id], state.current
@@ -237,15 +267,23 @@ def log_baseline(state: SceneState) -> tuple[float, np.ndarray]:
     return 0.5 * np.log(square), H
 
 
-def begin_depth_scale(state: SceneState, sigma: float):
-    """Set the scale of the depths to the baseline, which they amount to but for sigma."""
+def begin_depth_scale(state: SceneState, sigma: float) -> bool:
+    """Set the scale of the depths to the baseline, which they amount to but for sigma.
+
+    Returns whether the baseline is known well enough for its logarithm to be linear.
+    """
     state.depth_scale, H = log_baseline(state)
+    if H @ state.P @ H > FAINT**2:
+        at = state.at('depth_scale')
+        state.error.P[at], state.error.P[:, at], state.error.lasting[at] = 0, 0, 0
+        return False
     F = np.eye(state.size)
     at = state.at('depth_scale')
     F[at] = H
     Q = np.zeros_like(F)
     Q[at, at] = sigma**2
     ekf.predict(state.error, state.error.mu, F, Q)
+    return True
 
 
 def move_depth_scale(state: SceneState, log_ratio: float, sigma: float):

@@ -1,9 +1,9 @@
 """Camera motion of a key frame pair from its correspondences, [MVO] 4.1."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
-from mv_slapse.geometry import epipolar, rotation
+from mv_slapse.geometry import epipolar, rotation, two_view
 import numpy as np
 
 MIN_CORRESPONDENCES = 12  # 5 unknowns need 5; below about twice that no inlier can be told
@@ -103,6 +103,35 @@ def refine(rays_cur, rays_prev, sigma, focal, R, t, steps=10) -> MotionFit:
     return MotionFit(R, t, covariance, robust_cost(error, 2 * sigma))
 
 
+def turn(rays_cur, rays_prev, sigma, focal, R, steps=6):
+    """Fit a rotation without any translation; arguments as in refine.
+
+    Returns
+    -------
+    R_cur_from_prev : (3, 3) array
+    covariance : (6, 6) array
+        As in MotionFit, zero for the direction, which there is none of.
+    off : (N,) array
+        Distance of each match from where the rotation puts it, in standard deviations.
+    """
+    for width in np.maximum(8.0 * 0.5 ** np.arange(steps), 2.0):
+        y = rays_prev @ R.T
+        image = y[:, :2] / y[:, 2:]
+        error = (image - rays_cur[:, :2]) * focal
+        off = np.linalg.norm(error, axis=1) / sigma
+        # dy = w x y, and the image's change follows by the quotient rule.
+        by_y = np.zeros((len(y), 2, 3))
+        by_y[:, 0, 0], by_y[:, 1, 1] = focal
+        by_y[:, :, 2] = -image * focal
+        J = rotation.cross(y[:, None], by_y / y[:, 2:, None])
+        weight = robust_weight(off, width) / sigma**2
+        A = np.einsum('nia,n,nib->ab', J, weight, J)
+        R = rotation.exp(-np.linalg.solve(A, np.einsum('nia,n,ni->a', J, weight, error))) @ R
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = np.linalg.inv(A)
+    return R, covariance, off
+
+
 def _error(rays_cur, rays_prev, focal, R, t):
     """Epipolar error, its derivative (N, 5) by (w, two tangents of t), and these tangents."""
     basis = rotation.tangent_basis(t)
@@ -122,3 +151,20 @@ def _damped_step(rays_cur, rays_prev, focal, R, t, basis, A, b, sigma, cost, dam
             return R_new, t_new, new, damping * 0.3
         damping = max(damping * 30, 1e-4)
     return R, t, cost, damping
+
+
+def calibrated(pair: two_view.Pair, fit: MotionFit, noise: float):
+    """Scale sigma to the errors that this pair shows, smoothed over the last pairs.
+
+    The scale is the median epipolar error of the blocks within three sigma, over the median of
+    a Gaussian cut there: wrong vectors do not count.
+    """
+    error = np.abs(epipolar.epipolar_error(pair.rays_cur, pair.rays_prev, pair.focal,
+                                           fit.R_cur_from_prev, fit.t_cur_from_prev))
+    for _ in range(3):
+        ratio = error / (noise * pair.sigma)
+        close = ratio < 3
+        if close.sum() < MIN_CORRESPONDENCES:
+            break
+        noise = float(np.clip(noise * np.median(ratio[close]) / 0.6724, 0.3, 4.0))
+    return replace(pair, sigma=noise * pair.sigma), noise

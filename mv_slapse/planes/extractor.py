@@ -34,6 +34,7 @@ import numpy as np
 # Mean robust cost at which the last motion explains a pair as well as five points would: about two
 # thirds of the blocks within a standard deviation.
 PREDICTED_COST = 0.35
+ANY_RATIO = 1.5  # of the log of a baseline after a stop over the one before it: a factor of 4
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,15 @@ class Memory:
     next_id: int = 0
     depths: scale.DepthMap | None = None
     planes: tuple[KnownPlane, ...] = ()
+
+    def turned(self, stamp: int, R) -> 'Memory':
+        """Return it after the camera has turned by R_cur_from_prev on the spot."""
+        planes = tuple(replace(plane, plane=R @ plane.plane, covariance=R @ plane.covariance @ R.T)
+                       for plane in self.planes)
+        floor = self.ground.plane
+        floor = floor if floor is None else R @ floor
+        return replace(self, stamp=stamp, previous_stamp=None, depths=None, planes=planes,
+                       ground=replace(self.ground, plane=floor))
 
 
 @dataclass(frozen=True)
@@ -88,11 +98,13 @@ class PlaneExtractor:
         if _stands_still(pair, settings.standstill_share):
             return self._standing(blank)
         fit = self._motion(pair)
-        pair, noise = _calibrated(pair, fit, self._memory.noise)
+        pair, noise = camera_motion.calibrated(pair, fit, self._memory.noise)
         evidence = labeling.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
                                      settings.relief)
         if evidence.epipolar_inlier.mean() < settings.min_inliers:
             return replace(blank, reason=_disagreement(evidence))
+        if labeling.turns_only(evidence, settings.epsilon_m):
+            return self._turning(blank, pair, fit.R_cur_from_prev)
         ratio = self._ratio(blank, pair, evidence, fit)
         floor = self._ground_prior(blank, fit, ratio)
         found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor))
@@ -118,15 +130,28 @@ class PlaneExtractor:
             label=np.full(n, Label.UNKNOWN, np.int8), plane_id=np.full(n, -1, np.int32))
 
     def _standing(self, blank: Extraction) -> Extraction:
-        """Label a key frame pair of a camera that stands still: what moves then moves itself.
+        """Label a key frame pair of a camera that stands still."""
+        still = np.linalg.norm(blank.x_cur - blank.x_prev, axis=1) < 0.5
+        self._memory = replace(self._memory, stamp=blank.stamp, previous_stamp=None)
+        motion = CameraMotion(MotionStatus.STANDSTILL,
+                              covariance=np.diag([1e-8] * 3 + [0.0] * 3))
+        return self._without_baseline(blank, motion, still)
+
+    def _turning(self, blank: Extraction, pair: two_view.Pair, R: np.ndarray) -> Extraction:
+        """Label a key frame pair of a camera that turns on the spot."""
+        R, covariance, off = camera_motion.turn(pair.rays_cur, pair.rays_prev, pair.sigma,
+                                                pair.focal, R)
+        self._memory = self._memory.turned(blank.stamp, R)
+        motion = CameraMotion(MotionStatus.ROTATION_ONLY, R, covariance=covariance)
+        blank = replace(blank, sigma=pair.sigma.astype(np.float32))
+        return self._without_baseline(blank, motion, off < self._settings.epsilon_f)
+
+    def _without_baseline(self, blank: Extraction, motion: CameraMotion, still) -> Extraction:
+        """Label blocks (N,) that stay where they were: what moves then moves itself.
 
         Without a baseline there is no unit of length: moving planes have a prior's.
         """
-        still = np.linalg.norm(blank.x_cur - blank.x_prev, axis=1) < 0.5
         label = np.where(still, Label.STATIONARY, Label.UNKNOWN).astype(np.int8)
-        motion = CameraMotion(MotionStatus.STANDSTILL,
-                              covariance=np.diag([1e-8] * 3 + [0.0] * 3))
-        self._memory = replace(self._memory, stamp=blank.stamp)
         shown, self._movers = moving_regions.with_moving_planes(
             replace(blank, label=label, motion=motion), None, self._movers,
             self._settings.moving_score, self._memory.ground.mount.normal)
@@ -217,13 +242,17 @@ class PlaneExtractor:
     def _log_ratio(self, blank, ratio) -> tuple[float, float]:
         """Return the logarithm of this baseline over the last one, and its uncertainty."""
         memory = self._memory
-        if np.isfinite(ratio.sigma) or memory.previous_stamp is None:
+        if np.isfinite(ratio.sigma):
             return ratio.log, ratio.sigma
+        if memory.previous_stamp is None:
+            return 0.0, ANY_RATIO
         return self._steady(blank), 0.15  # 1.3 m/s at 30 km/h: a hard brake over one dead segment
 
     def _steady(self, blank) -> float:
         """Return the logarithm of this baseline over the last one at an unchanged speed."""
         memory = self._memory
+        if memory.previous_stamp is None:
+            return 0.0
         return float(np.log((blank.stamp - blank.previous_stamp)
                             / (memory.stamp - memory.previous_stamp)))
 
@@ -357,20 +386,3 @@ def _stands_still(pair: two_view.Pair, share: float) -> bool:
     """Tell whether so many vectors are zero that the camera must be standing."""
     moved = (pair.rays_cur[:, :2] - pair.rays_prev[:, :2]) * pair.focal
     return np.mean(np.hypot(moved[:, 0], moved[:, 1]) < 0.25) >= share
-
-
-def _calibrated(pair: two_view.Pair, fit: MotionFit, noise: float):
-    """Scale sigma to the errors that this pair shows, smoothed over the last pairs.
-
-    The scale is the median epipolar error of the blocks within three sigma, over the median of
-    a Gaussian cut there: wrong vectors do not count.
-    """
-    error = np.abs(epipolar.epipolar_error(pair.rays_cur, pair.rays_prev, pair.focal,
-                                           fit.R_cur_from_prev, fit.t_cur_from_prev))
-    for _ in range(3):
-        ratio = error / (noise * pair.sigma)
-        close = ratio < 3
-        if close.sum() < camera_motion.MIN_CORRESPONDENCES:
-            break
-        noise = float(np.clip(noise * np.median(ratio[close]) / 0.6724, 0.3, 4.0))
-    return replace(pair, sigma=noise * pair.sigma), noise

@@ -6,6 +6,8 @@ from mv_slapse.geometry import epipolar, two_view
 from mv_slapse.planes.camera_motion import MotionFit
 import numpy as np
 
+TURNING_SHARE = 0.15  # of blocks with parallax: below, the camera turns on the spot
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -61,6 +63,16 @@ def orient(pair: two_view.Pair, R, t) -> tuple[np.ndarray, bool]:
     if np.sum(np.where(vote, weight, -weight)) < 0:
         t = -t
     return t, bool(t[2] < 0)
+
+
+def turns_only(evidence: Evidence, epsilon_m: float) -> bool:
+    """Tell whether a pair shows a turn on the spot: next to no block has any parallax.
+
+    Of a camera that moves, 60 % of the blocks or more have twice ``epsilon_m`` [px] on every
+    stream that was measured; of one that turns on the spot up to 5 %.
+    """
+    parallax = evidence.parallax[evidence.epipolar_inlier]
+    return bool(np.mean(parallax > 2 * epsilon_m) < TURNING_SHARE)
 
 
 def evidence(pair: two_view.Pair, fit: MotionFit, epsilon_f: float, epsilon_m: float,

@@ -4,10 +4,16 @@ from dataclasses import replace
 
 import canyon as canyon_views
 from mv_slapse.config import SceneSettings
-from mv_slapse.filters.scene import _stationary, GROUND_PATIENCE, SceneFilter
+from mv_slapse.filters.scene import GROUND_PATIENCE, SceneFilter
+from mv_slapse.filters.scene_input import stationary
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
-from mv_slapse.records import Label, MotionStatus, PlaneHandover, ScaleStatus, TrackingStatus
+from mv_slapse.records import (
+    Label,
+    PlaneHandover,
+    ScaleStatus,
+    TrackingStatus,
+)
 from numeric import jacobian
 import numpy as np
 import pytest
@@ -188,56 +194,6 @@ def test_before_the_first_motion_it_is_initialising_at_the_origin():
     np.testing.assert_array_equal(first.R_world_from_cam, np.eye(3))
 
 
-def test_a_standing_camera_does_not_drift_by_a_bit():
-    canyon, filter_ = Canyon(), SceneFilter(METRIC)
-    before = driven(canyon, 10, filter_=filter_)[-1]
-    for k in range(11, 60):
-        still = filter_.step(canyon.blank(k, MotionStatus.STANDSTILL, ''))[0]
-    np.testing.assert_array_equal(still.t_world_from_cam, before.t_world_from_cam)
-    np.testing.assert_array_equal(still.R_world_from_cam, before.R_world_from_cam)
-    np.testing.assert_array_equal(still.pose_covariance, before.pose_covariance)
-    np.testing.assert_array_equal(np.r_[still.velocity_world, still.omega_cam], 0)
-    assert still.status is TrackingStatus.OK
-    assert still.baseline == 0
-    assert_is_covariance(filter_._state.P)
-
-
-def test_a_camera_that_stands_from_the_start_is_ok():
-    canyon, filter_ = Canyon(), SceneFilter(METRIC)
-    first = filter_.step(canyon.blank(1, MotionStatus.STANDSTILL, ''))[0]
-    assert first.status is TrackingStatus.OK
-    np.testing.assert_array_equal(first.t_world_from_cam, 0)
-
-
-def test_it_drives_on_after_standing():
-    def way(time):
-        """Brake from 8 m/s at 4 m/s^2, stand half a second, pull away at 3 m/s^2."""
-        braking, away = min(time, 2.0), max(time - 2.5, 0.0)
-        return 8 * braking - 2 * braking**2 + 1.5 * away**2
-
-    canyon, filter_ = Canyon(way=way), SceneFilter(METRIC)
-    driven(canyon, 20, filter_=filter_)
-    for k in range(21, 26):
-        filter_.step(canyon.blank(k, MotionStatus.STANDSTILL, ''))
-    after = driven(canyon, 45, filter_=filter_, first=26)
-    assert max(position_errors(canyon, after, 26)) < 0.15  # 1 % of the way
-    assert after[-1].velocity_world @ canyon.pose(45)[0][:, 2] == pytest.approx(6.0, abs=0.3)
-
-
-def test_a_free_scale_outlasts_a_camera_that_nearly_stops():
-    def way(time):
-        """Brake from 8 m/s to 0.4 m/s in two seconds, and pull away as hard."""
-        turn = 2.0
-        if time < turn:
-            return 8 * time - 1.9 * time**2
-        return 8 * turn - 1.9 * turn**2 + 0.4 * (time - turn) + 1.9 * (time - turn)**2
-
-    canyon = Canyon(way=way)
-    estimates = driven(canyon, 40, SceneSettings())
-    unit = np.linalg.norm(canyon.motion(1)[1])
-    assert max(position_errors(canyon, estimates, scale=unit)) < 0.02 * way(4.0)
-
-
 def test_a_plane_that_moves_is_handed_to_the_tracker():
     canyon, filter_ = Canyon(), SceneFilter(METRIC)
     driven(canyon, 5, filter_=filter_)
@@ -315,7 +271,7 @@ def test_the_filter_sees_what_stands_and_what_is_far_and_nothing_else():
     label = extraction.label.copy()
     label[extraction.plane_id == GROUND] = Label.MOVING
     label[1::6] = Label.UNKNOWN
-    pair, plane_id = _stationary(replace(extraction, label=label))
+    pair, plane_id = stationary(replace(extraction, label=label))
     used = (label == Label.STATIONARY) | (label == Label.INFINITY)
     np.testing.assert_array_equal(pair.x_prev, extraction.x_prev[used])
     np.testing.assert_array_equal(plane_id, extraction.plane_id[used])
@@ -330,7 +286,7 @@ def test_what_touches_a_mover_and_is_on_no_plane_is_left_out():
     label[np.all(cell == (22, 15), axis=1)] = Label.STATIONARY
     plane_id[np.all(np.abs(cell - (20, 15)) <= 2, axis=1)] = -1
     plane_id[np.all(cell == (19, 15), axis=1)] = WALL
-    pair, _ = _stationary(replace(extraction, label=label, plane_id=plane_id))
+    pair, _ = stationary(replace(extraction, label=label, plane_id=plane_id))
     kept = {tuple(x) for x in pair.x_prev}
     seen = {tuple(at) for at, x in zip(cell, extraction.x_prev, strict=True) if tuple(x) in kept}
     touching = {(x, y) for x in (19, 20, 21) for y in (14, 15, 16)} & {tuple(c) for c in cell}

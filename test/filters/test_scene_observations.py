@@ -12,7 +12,7 @@ OBSERVATIONS = {
     'camera height': lambda s: scene_observations.camera_height(s, ROAD, 1.65, 0.03),
     'height wrong for good': lambda s: scene_observations.camera_height(s, ROAD, 1.65, 0.03, 0.02),
     'mounting': lambda s: scene_observations.mounting(s, ROAD, 0.01),
-    'unit baseline': lambda s: scene_observations.unit_baseline(s, 1e-3),
+    'baseline': lambda s: scene_observations.baseline(s, 3.0, 1e-3),
     'baseline ratio': lambda s: scene_observations.baseline_ratio(s, 0.006),
     'level course': lambda s: scene_observations.level_course(s, 0.02),
 }
@@ -51,7 +51,7 @@ def test_innovations_by_hand():
     assert OBSERVATIONS['camera height'](state).lasting.tolist() == [[0, 0, 0, 0]]
     assert OBSERVATIONS['height wrong for good'](state).lasting.tolist() == [[0, 0, 0, 0.02]]
     np.testing.assert_allclose(innovation['mounting'], 0, atol=1e-12)
-    np.testing.assert_allclose(innovation['unit baseline'], [-np.log(np.hypot(0.3, 2))])
+    np.testing.assert_allclose(innovation['baseline'], [np.log(3 / np.hypot(0.3, 2))])
     np.testing.assert_allclose(innovation['baseline ratio'], [np.log(np.hypot(0.3, 2)) - 0.5])
     # The camera sinks: its motion t points up against the mount's normal.
     np.testing.assert_allclose(innovation['level course'], [-0.3 / np.hypot(0.3, 2)])

@@ -203,6 +203,38 @@ def test_scaling_the_state_commutes_with_its_errors(rng, state):
     assert nominal.depth_scale == pytest.approx(state.depth_scale + np.log(factor))
 
 
+def test_a_turn_on_the_spot_has_the_numerical_transition(state):
+    R = rotation.exp(np.array([0.02, 0.3, -0.05]))
+
+    def turned(e):
+        twin = deepcopy(state).moved(e)
+        twin.error = deepcopy(state).error
+        scene_state.turn_on_the_spot(twin, R, np.zeros((3, 3)), 0.0)
+        return twin
+
+    base, P = turned(np.zeros(state.size)), state.P.copy()
+    F = jacobian(lambda e: error_between(base, turned(e)), np.zeros(state.size))
+    F[state.at('mount'), state.at('mount')] = np.eye(3)
+    cur = state.at('current')
+    scene_state.turn_on_the_spot(state, R, 1e-4 * np.eye(3), 0.02)
+    expected = F @ P @ F.T
+    expected[cur, cur] += np.diag([1e-4] * 3 + [0.02**2] * 3)
+    np.testing.assert_allclose(state.P, expected, rtol=1e-4, atol=1e-6 * np.abs(P).max())
+    np.testing.assert_array_equal(state.current.t, state.previous.t)
+    np.testing.assert_allclose(scene_state.relative_motion(state)[0], R, atol=1e-12)
+
+
+def test_a_halt_leaves_no_velocity_and_no_memory_of_one(state):
+    omega, covariance = np.array([0, 0.2, 0]), np.diag([1e-4, 2e-4, 3e-4])
+    scene_state.halt(state, omega, covariance)
+    vel, om = state.at('velocity'), state.at('omega')
+    np.testing.assert_array_equal(state.velocity, 0)
+    np.testing.assert_array_equal(state.omega, omega)
+    np.testing.assert_array_equal(state.P[om, om], covariance)
+    assert not state.P[om, vel].any()
+    assert not state.P[vel, state.at('current')].any()
+
+
 def test_a_common_error_of_all_lengths_is_what_scaling_does(state):
     size, before = 1e-6, deepcopy(state)
     scaled = deepcopy(state)
@@ -216,14 +248,23 @@ def test_a_common_error_of_all_lengths_is_what_scaling_does(state):
 
 
 def test_a_new_depth_scale_is_the_baseline_and_shares_its_error(state):
+    state.error.P *= 1e-4
     value, H = scene_state.log_baseline(state)
     expected = H @ state.P
-    scene_state.begin_depth_scale(state, 0.02)
+    assert scene_state.begin_depth_scale(state, 0.02)
     at = state.at('depth_scale')
     assert state.depth_scale == pytest.approx(value)
     others = np.delete(np.arange(state.size), at.start)
     np.testing.assert_allclose(state.P[at.start, others], expected[others])
     assert state.P[at, at].item() == pytest.approx(expected @ H + 0.02**2)
+
+
+def test_a_baseline_next_to_zero_gives_the_depths_no_scale(state):
+    state.current.t = state.previous.t + 1e-3
+    assert not scene_state.begin_depth_scale(state, 0.02)
+    at = state.at('depth_scale')
+    assert not state.P[at].any()
+    assert not state.P[:, at].any()
 
 
 def test_a_ratio_moves_the_depth_scale_and_widens_it(state):

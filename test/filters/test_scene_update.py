@@ -89,7 +89,7 @@ def test_the_gauge_leaves_angles_and_proportions_as_the_pair_shows_them(rng, sce
     state.error.P[state.at('current'), state.at('current')][3:, 3:] = 100 * np.eye(3)
     found = scene_update.update(
         state, state.error_to(shown), scene.pair, scene.surface, IDS, SIMPLE,
-        [partial(scene_observations.unit_baseline, sigma=1e-6)])
+        [partial(scene_observations.baseline, length=1.0, sigma=1e-6)])
     R, t = scene_state.relative_motion(found)
     assert np.linalg.norm(t) == pytest.approx(1, abs=1e-4)
     assert np.degrees(angle_between(t, scene.t)) < 0.3

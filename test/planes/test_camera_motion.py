@@ -125,3 +125,20 @@ def test_a_motion_that_explains_much_more_replaces_the_predicted_one():
     assert camera_motion.likeliest(predicted, [fit(0.5 - slight)], n) is predicted
     assert camera_motion.likeliest(predicted, [fit(0.5 - clear)], n).cost == 0.5 - clear
     assert camera_motion.likeliest(None, [fit(0.9), fit(0.8)], n).cost == 0.8
+
+
+def test_a_turn_is_found_with_its_error_and_without_the_wrong_vectors(rng):
+    """Against vectors that a turn on the spot makes, noise, and a fifth that are wrong."""
+    R = rotation.exp(np.array([0.01, 0.06, -0.02]))
+    far = views(R, motion('ahead')[1], planes=CANYON * 0, rng=rng, sigma=0.3).pair
+    wrong = rng.uniform(size=len(far)) < 0.2
+    rays = far.rays_prev.copy()
+    rays[wrong, :2] += rng.uniform(-0.03, 0.03, (wrong.sum(), 2))
+    found, covariance, off = camera_motion.turn(far.rays_cur, rays, far.sigma, far.focal,
+                                                np.eye(3))
+    error = rotation.log(found @ R.T)
+    assert error @ np.linalg.solve(covariance[:3, :3], error) < 25
+    assert np.degrees(np.linalg.norm(error)) < 0.02
+    assert np.mean(off[~wrong] < 3) > 0.95
+    assert np.mean(off[wrong] < 3) < 0.3
+    assert not covariance[3:].any()

@@ -1,6 +1,6 @@
 """Definition 1 on drawn canyons: direction, infinity, depth and its error."""
 
-from canyon import K, motion, MOTIONS, views
+from canyon import CANYON, K, motion, MOTIONS, views
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.two_view import Pair
 from mv_slapse.planes import labeling
@@ -100,3 +100,10 @@ def test_an_object_that_crosses_leaves_its_epipolar_lines():
     evidence = judged(scene, pair)
     assert evidence.epipolar_inlier[~mover].all()
     assert evidence.epipolar_inlier[mover].mean() < 0.2
+
+
+def test_a_turn_shows_no_parallax_and_a_motion_does(rng, true_motion):
+    R, t = true_motion
+    assert not labeling.turns_only(judged(views(R, t, rng, 0.3, outliers=0.1)), 1.0)
+    far = views(R, t, rng, 0.3, planes=1e-6 * CANYON, outliers=0.1)
+    assert labeling.turns_only(judged(far), 1.0)

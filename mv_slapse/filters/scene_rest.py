@@ -1,0 +1,32 @@
+"""What stands in for the speed where a camera has been at rest."""
+
+from mv_slapse.filters import scene_gate
+from mv_slapse.filters.scene_state import plane_in_camera, SceneState
+from mv_slapse.records import Extraction, Label
+import numpy as np
+
+
+def first_baseline(state: SceneState, extraction: Extraction, camera_height: float) -> float:
+    """Return the first baseline after a rest [map unit], 0 where nothing tells it.
+
+    A plane seen again tells it, the ground first: its depth in the map over that in baselines;
+    or the camera's height above the ground does, 0 where that is not known.
+    """
+    again = [plane for plane in extraction.planes
+             if plane.id in state.planes and plane.label == Label.STATIONARY]
+    again.sort(key=lambda plane: not plane.is_ground)
+    if again:
+        seen = np.linalg.norm(plane_in_camera(state, again[0].id))
+        return float(np.linalg.norm(again[0].plane) / seen)
+    ground = scene_gate.ground_plane(extraction)
+    return 0.0 if ground is None else float(camera_height * np.linalg.norm(ground))
+
+
+def reach(state: SceneState) -> float:
+    """Return the distance of the nearest plane: there a way of it / focal makes one pixel.
+
+    Where no plane is known, that of a baseline seen under an angle of 3 degrees.
+    """
+    planes = [plane_in_camera(state, id) for id in state.planes]
+    nearest = max((np.linalg.norm(plane) for plane in planes), default=0.0)
+    return float(1 / nearest) if nearest else 20 * float(np.exp(state.depth_scale))
