@@ -17,6 +17,7 @@ SAME_ID_RESCUE = 16.0  # the same, if the extractor calls it the same region
 DEPTH_RATIO = (0.6, 1.6)  # between two surfaces of one vehicle,
 SIMILAR_RATIO = (0.8, 1.25)  # if their lower edges tell otherwise: one need not be a foot
 GAP_SHARE = 0.25  # of a vehicle's smaller side that may have no vectors between two of its parts
+MARGIN = 0.5  # share of an obstacle's size by which more of it may come into view
 INSIDE = 0.5  # share of a part's box that the whole's box holds
 
 
@@ -83,22 +84,39 @@ def _cost(track, detection, gate):
 
 
 def groups(detections: Sequence[Detection], gate: float,
-           owners: Mapping[int, int] | None = None) -> list[list[Detection]]:
+           expected: Mapping[int, np.ndarray] | None = None) -> list[list[Detection]]:
     """Return the surfaces of each vehicle, the largest one first.
 
     Detections come largest first; each joins the first one before it that it touches and whose
-    motion it shares. ``owners`` tells which obstacle a region's id belonged to before: one pair
-    of key frames is too short to make one vehicle of two that were followed apart.
+    motion it shares. ``expected`` holds, by the region's id, the boxes (4,) where obstacles
+    should be: in one pair any two cars may move alike within the noise, so that what an obstacle
+    was not before does not join it, be it another obstacle or new.
     """
-    owners, found = owners or {}, []
+    expected, found = expected or {}, []
     for detection in detections:
         home = next((g for g in found if any(same_body(d, detection, gate) for d in g)
-                     and len({owners[d.id] for d in (*g, detection) if d.id in owners}) < 2), None)
+                     and _as_expected((*g, detection), expected)), None)
         if home is None:
             found.append([detection])
         else:
             home.append(detection)
     return found
+
+
+def _as_expected(group, expected):
+    """Whether a group holds the region of one obstacle at most, and else lies in its place."""
+    places = [expected[d.id] for d in group if d.id in expected]
+    if len(places) != 1:
+        return not places
+    grow = np.r_[-MARGIN, -MARGIN, 2 * MARGIN, 2 * MARGIN] * np.tile(places[0][2:], 2)
+    return all(_covers(places[0] + grow, d.box) for d in group if d.id not in expected)
+
+
+def _covers(box, part):
+    """Whether a box holds most of another."""
+    low = np.maximum(box[:2], part[:2])
+    high = np.minimum(box[:2] + box[2:], part[:2] + part[2:])
+    return bool(np.prod(np.maximum(high - low, 0)) > INSIDE * np.prod(part[2:]))
 
 
 def same_body(one: Detection, other: Detection, gate: float) -> bool:
@@ -114,11 +132,7 @@ def is_part(whole: tuple[np.ndarray, np.ndarray], whole_box: np.ndarray,
 
     ``whole`` and ``part`` are states (8,) with their covariances (8, 8).
     """
-    low = np.maximum(whole_box[:2], part_box[:2])
-    high = np.minimum(whole_box[:2] + whole_box[2:], part_box[:2] + part_box[2:])
-    common = np.prod(np.maximum(high - low, 0))
-    return bool(common > INSIDE * np.prod(part_box[2:])) and _share_motion(
-        whole, part, SIMILAR_RATIO, gate)
+    return _covers(whole_box, part_box) and _share_motion(whole, part, SIMILAR_RATIO, gate)
 
 
 def _touch(a, b):

@@ -63,8 +63,9 @@ class ObstacleTracker:
         self._predict(extraction, scene, view)
         self._scene, self._view = scene, view
         owners = {track.plane_id: track.id for track in self._tracks}
+        expected = {track.plane_id: track.box(view) for track in self._tracks}
         found = [joined(group, view) for group in association.groups(
-            detections(extraction, view, self._settings), self._settings.gate, owners)]
+            detections(extraction, view, self._settings), self._settings.gate, expected)]
         free = self._continue(found, owners, extraction)
         self._search(extraction)
         free = self._absorb(free, extraction.stamp)

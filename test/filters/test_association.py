@@ -13,8 +13,9 @@ GATE = 0.999
 R = np.diag([1e-4, 1e-4, 0.01, 0.01, 0.01, 0.01, 0.1, 0.1])
 
 
-def ids(detections, owners=None):
-    return [[item.id for item in group] for group in association.groups(detections, GATE, owners)]
+def ids(detections, expected=None):
+    return [[item.id for item in group]
+            for group in association.groups(detections, GATE, expected)]
 
 
 def blocks(column, row, across=3, down=2):
@@ -144,7 +145,11 @@ def test_a_part_lies_inside_and_moves_alike():
 
 
 def test_regions_of_two_obstacles_never_join():
-    rear, side, roof = detection(1, 10), detection(2, 13, across=2), detection(3, 10, row=13)
-    assert ids([rear, side, roof], {1: 7, 2: 8}) == [[1, 3], [2]]
-    assert ids([rear, side, roof], {1: 7, 2: 7}) == [[1, 2, 3]]
-    assert ids([rear, side, roof], {3: 7, 2: 8}) == [[1, 2], [3]]
+    rear, side, roof = detection(1, 10), detection(2, 13, across=2), detection(3, 10, row=14)
+    assert ids([rear, side, roof], {1: rear.box, 2: side.box}) == [[1, 3], [2]]
+
+
+def test_what_is_new_joins_an_obstacle_only_where_that_is_expected():
+    rear, side = detection(1, 10), detection(2, 13, across=3)
+    assert ids([rear, side], {1: rear.box}) == [[1], [2]]
+    assert ids([rear, side], {1: rear.box + [0, 0, 32, 0]}) == [[1, 2]]
