@@ -1,7 +1,12 @@
-"""Extractions of a camera that drives through a canyon, drawn from its truth."""
+"""A camera that drives through a canyon: its extractions, and the filter's errors on them."""
 
-from canyon import CANYON, K, views
+from canyon import CANYON, K, turn_between, views
+from mv_slapse.config import SceneSettings
+from mv_slapse.filters import scene_state
+from mv_slapse.filters.scene import SceneFilter
+from mv_slapse.filters.scene_state import Pose
 from mv_slapse.geometry import plane as plane_geometry
+from mv_slapse.geometry import rotation
 from mv_slapse.records import (
     CameraMotion,
     Extraction,
@@ -14,6 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 DT, SPEED, YAW_RATE, HEIGHT = 0.1, 8.0, 0.05, 1.6
+METRIC = SceneSettings(camera_height=HEIGHT)
 GROUND = 0
 
 
@@ -73,3 +79,31 @@ def stamp(k):
     return round(k * DT * 1e9)
 
 
+def driven(canyon, n, settings=METRIC, filter_=None, first=1, **how):
+    """Return the estimates of key frames first to n."""
+    filter_ = filter_ or SceneFilter(settings)
+    return [filter_.step(canyon.extraction(k, **how))[0] for k in range(first, n + 1)]
+
+
+def position_errors(canyon, estimates, first=1, scale=1.0):
+    return [np.linalg.norm(scale * e.t_world_from_cam - canyon.pose(first + i)[1])
+            for i, e in enumerate(estimates)]
+
+
+def turn_errors(canyon, estimates, first=1):
+    return [turn_between(e.R_world_from_cam, canyon.pose(first + i)[0])
+            for i, e in enumerate(estimates)]
+
+
+def assert_is_covariance(P):
+    np.testing.assert_allclose(P, P.T, atol=1e-12)
+    assert np.linalg.eigvalsh(P).min() > -1e-9
+
+
+def between_two_poses(rng):
+    """Return a state of the scene filter with any two poses, and no plane yet."""
+    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
+    state.previous = Pose(rotation.exp(rng.normal(0, 0.5, 3)), rng.normal(0, 3, 3))
+    state.current = Pose(state.previous.R @ rotation.exp(rng.normal(0, 0.05, 3)),
+                         state.previous.t + rng.normal(0, 1, 3))
+    return state

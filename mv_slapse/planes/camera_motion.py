@@ -7,8 +7,6 @@ from mv_slapse.geometry import epipolar, rotation, two_view
 import numpy as np
 
 MIN_CORRESPONDENCES = 12  # 5 unknowns need 5; below about twice that no inlier can be told
-
-
 # Sum of robust costs by which another motion must explain a pair better than the last one. Where
 # one plane fills the picture two motions do almost alike (0.3 % of 1300 blocks, as measured), and
 # six neighbouring blocks tell as much as one: e^5 to one.

@@ -110,6 +110,7 @@ class PlaneExtractor:
         found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor))
         found = self._moving(blank, pair, self._named(found), floor)
         found = self._refined(pair, found)
+        # Anew, by the motion that the next pair will compare with: its error then cancels.
         ratio = self._ratio(blank, pair, found.evidence, found.fit)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
         return self._finished(blank, pair, found, noise, floor)

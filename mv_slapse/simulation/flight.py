@@ -44,44 +44,26 @@ class FlightSettings(Checked):
     contrast: float = setting(1.0, '-', 'factor on the contrast of the textures', 0.0, 3.0)
 
 
-@dataclass(frozen=True)
-class Sight:
-    """What Renderer needs to know of the ideal picture."""
-
-    seed: int
-    n_frames: int
-    width: int
-    height: int
-    noise: float
-    contrast: float
-
-
 class Flight:
     """A room and a camera that flies through it; the same settings give the same flight."""
 
     def __init__(self, lens: Camera = WIDE, settings: FlightSettings = FlightSettings()):
         """Build the room of the seed; ``lens`` is the camera of the pictures."""
         rng = np.random.default_rng(settings.seed)
-        self.flight, self.lens = settings, lens
+        self.settings, self.lens = settings, lens
         self._phase, self._turn_phase = rng.uniform(0, 2 * np.pi, (2, 3))
         self._room = room(settings.furniture, rng)
         self._map, self.camera = _ideal(lens)
-        self.settings = Sight(settings.seed, settings.n_frames, self.camera.width,
-                              self.camera.height, settings.noise, settings.contrast)
         self._start = self._pose_in_room(0.0)
-
-    def stamp(self, i: int) -> int:
-        """Return the time of frame i [ns]."""
-        return round(i * 1e9 / self.flight.fps)
 
     def pose(self, i: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (R_world_from_cam, t_world_from_cam) of frame i."""
-        (A, a), (R, t) = self._start, self._pose_in_room(i / self.flight.fps)
+        (A, a), (R, t) = self._start, self._pose_in_room(i / self.settings.fps)
         return A.T @ R, A.T @ (t - a)
 
     def quads_in_camera(self, i: int) -> Quads:
         """Return all surfaces in the camera of frame i."""
-        R, t = self._pose_in_room(i / self.flight.fps)
+        R, t = self._pose_in_room(i / self.settings.fps)
         return self._room.moved(R.T, -R.T @ t)
 
     def pictures(self) -> Iterator[np.ndarray]:
@@ -90,9 +72,9 @@ class Flight:
             yield cv2.remap(frame.image, self._map, None, cv2.INTER_LINEAR)
 
     def _pose_in_room(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        swing = self.flight.speed / WAY * time * RATIOS + self._phase
+        swing = self.settings.speed / WAY * time * RATIOS + self._phase
         turn = TURN_RATES * time + self._turn_phase
-        R = Rotation.from_euler('YXZ', self.flight.spin * TURNS * np.sin(turn))
+        R = Rotation.from_euler('YXZ', self.settings.spin * TURNS * np.sin(turn))
         return R.as_matrix(), MIDDLE + REACH * np.sin(swing)
 
 

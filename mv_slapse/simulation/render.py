@@ -31,8 +31,8 @@ class Renderer:
         self._atlas = Atlas(textures.tiles(np.random.default_rng((settings.seed, 1)),
                                            settings.contrast))
         K = street.camera.K
-        self._x = (np.arange(settings.width) - K[0, 2]).astype(np.float32)
-        self._y = (np.arange(settings.height) - K[1, 2]).astype(np.float32)[:, None]
+        self._x = (np.arange(street.camera.width) - K[0, 2]).astype(np.float32)
+        self._y = (np.arange(street.camera.height) - K[1, 2]).astype(np.float32)[:, None]
 
     def frames(self) -> Iterator[Frame]:
         """Render all frames in order."""

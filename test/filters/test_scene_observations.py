@@ -1,11 +1,11 @@
 """What is observed beside correspondences: derivative of each innovation, and its value."""
 
 from mv_slapse.filters import scene_observations, scene_state
-from mv_slapse.filters.scene_state import AnchoredPlane, Pose
-from mv_slapse.geometry import rotation
+from mv_slapse.filters.scene_state import AnchoredPlane
 from numeric import jacobian
 import numpy as np
 import pytest
+from scene_drive import between_two_poses
 
 ROAD = 4
 OBSERVATIONS = {
@@ -20,10 +20,7 @@ OBSERVATIONS = {
 
 @pytest.fixture
 def state(rng):
-    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
-    state.previous = Pose(rotation.exp(rng.normal(0, 0.5, 3)), rng.normal(0, 3, 3))
-    state.current = Pose(state.previous.R @ rotation.exp(rng.normal(0, 0.05, 3)),
-                         state.previous.t + rng.normal(0, 1, 3))
+    state = between_two_poses(rng)
     state.depth_scale = 0.3
     state.add_plane(ROAD, AnchoredPlane(rng.normal(0, 0.3, 3), state.previous.t), np.eye(3))
     return state

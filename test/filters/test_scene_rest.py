@@ -9,31 +9,16 @@ from mv_slapse.geometry import rotation
 from mv_slapse.records import CameraMotion, MotionStatus, TrackingStatus
 import numpy as np
 import pytest
-from scene_drive import Canyon, HEIGHT, SPEED
+from scene_drive import (
+    assert_is_covariance,
+    Canyon,
+    driven,
+    METRIC,
+    position_errors,
+    SPEED,
+)
 
-METRIC = SceneSettings(camera_height=HEIGHT)
 WALL = 1
-
-
-def driven(canyon, n, settings=METRIC, filter_=None, first=1, **how):
-    """Return the estimates of key frames first to n."""
-    filter_ = filter_ or SceneFilter(settings)
-    return [filter_.step(canyon.extraction(k, **how))[0] for k in range(first, n + 1)]
-
-
-def position_errors(canyon, estimates, first=1, scale=1.0):
-    return [np.linalg.norm(scale * e.t_world_from_cam - canyon.pose(first + i)[1])
-            for i, e in enumerate(estimates)]
-
-
-def turn_errors(canyon, estimates, first=1):
-    return [canyon_views.turn_between(e.R_world_from_cam, canyon.pose(first + i)[0])
-            for i, e in enumerate(estimates)]
-
-
-def assert_is_covariance(P):
-    np.testing.assert_allclose(P, P.T, atol=1e-12)
-    assert np.linalg.eigvalsh(P).min() > -1e-9
 
 
 def test_a_standing_camera_does_not_drift_by_a_bit():

@@ -3,12 +3,13 @@
 from copy import deepcopy
 
 from mv_slapse.filters import scene_state
-from mv_slapse.filters.scene_state import AnchoredPlane, Pose
+from mv_slapse.filters.scene_state import AnchoredPlane
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
 from numeric import jacobian
 import numpy as np
 import pytest
+from scene_drive import between_two_poses
 
 IDS = [4, 9]
 
@@ -26,10 +27,7 @@ def error_between(old, new):
 
 @pytest.fixture
 def state(rng):
-    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
-    state.previous = Pose(rotation.exp(rng.normal(0, 0.5, 3)), rng.normal(0, 3, 3))
-    state.current = Pose(state.previous.R @ rotation.exp(rng.normal(0, 0.05, 3)),
-                         state.previous.t + rng.normal(0, 1, 3))
+    state = between_two_poses(rng)
     state.velocity, state.omega = rng.normal(0, 5, 3), rng.normal(0, 0.1, 3)
     for id_ in IDS:
         state.add_plane(id_, AnchoredPlane(rng.normal(0, 0.1, 3), rng.normal(0, 2, 3)), np.eye(3))
