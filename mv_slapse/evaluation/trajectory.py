@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 TOLERANCE = 10_000_000  # [ns] as evo's default
 SEGMENT = 10.0  # [m] length over which drift is measured
+REST, STILL = 1_000_000_000, 1e-3  # [ns] of a standstill, [m] that its poses lie apart at most
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,9 @@ class TrajectoryScore:
         Errors of the motion between consecutive poses, with the similarity's scale [m], [rad].
     drift : (M,) float64
         Position errors over segments of at least SEGMENT, as a share of their length.
+    standstill_drift : float or None
+        Farthest from where a standstill of at least REST began, over all of them, with the
+        similarity's scale [m]; None where the truth never rests.
     """
 
     n_poses: int
@@ -57,6 +61,7 @@ class TrajectoryScore:
     rpe: np.ndarray
     rpe_angle: np.ndarray
     drift: np.ndarray
+    standstill_drift: float | None
 
 
 def associate(stamps: np.ndarray, truth: np.ndarray,
@@ -122,7 +127,8 @@ def evaluate(estimate: Trajectory, truth: Trajectory,
         len(i), path_length(truth.positions[j[0]:j[-1] + 1]), alignment, rigid,
         np.linalg.norm(alignment.apply(source) - target, axis=1),
         np.linalg.norm(rigid.apply(source) - target, axis=1),
-        steps, angles, _drift(estimate, truth, i, j, alignment.scale))
+        steps, angles, _drift(estimate, truth, i, j, alignment.scale),
+        _standstill_drift(alignment.scale * source, target, truth.stamps[j]))
 
 
 def figures(score: TrajectoryScore) -> dict[str, float | int | None]:
@@ -140,7 +146,8 @@ def figures(score: TrajectoryScore) -> dict[str, float | int | None]:
         'ate_rigid_mean_percent': percent(rigid),
         'rpe_mean_m': float(score.rpe.mean()),
         'rpe_mean_deg': float(np.degrees(score.rpe_angle.mean())),
-        'rpe_10m_percent': 100 * float(score.drift.mean()) if len(score.drift) else None}
+        'rpe_10m_percent': 100 * float(score.drift.mean()) if len(score.drift) else None,
+        'standstill_drift_m': score.standstill_drift}
 
 
 def _relative_errors(estimate: Trajectory, truth: Trajectory, i: np.ndarray, j: np.ndarray,
@@ -162,6 +169,14 @@ def _drift(estimate: Trajectory, truth: Trajectory, i: np.ndarray, j: np.ndarray
     _, t = _motions(estimate, i[first], i[last])
     _, t_true = _motions(truth, j[first], j[last])
     return np.linalg.norm(scale * t - t_true, axis=1) / (way[last] - way[first])
+
+
+def _standstill_drift(source: np.ndarray, target: np.ndarray, stamps: np.ndarray) -> float | None:
+    moved = np.linalg.norm(np.diff(target, axis=0), axis=1) > STILL
+    drifts = [np.linalg.norm(source[rest] - source[rest[0]], axis=1).max()
+              for rest in np.split(np.arange(len(target)), np.flatnonzero(moved) + 1)
+              if stamps[rest[-1]] - stamps[rest[0]] >= REST]
+    return float(max(drifts)) if drifts else None
 
 
 def _motions(trajectory: Trajectory, first: np.ndarray,

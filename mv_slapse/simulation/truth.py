@@ -1,4 +1,4 @@
-"""The truth of a rendered street, frame by frame and as the folder that ``eval`` reads.
+"""The truth of what is rendered, frame by frame and as the folder that ``eval`` reads.
 
 A macroblock has the label of the surface that covers more than half of it. INFINITY is the sky
 alone: whether a far wall shows parallax depends on the pair of frames, which is not known here.
@@ -13,6 +13,7 @@ from typing import NamedTuple
 import cv2
 from mv_slapse.records import Label
 from mv_slapse.simulation.drawn import BLOCK, block_centres, labels
+from mv_slapse.simulation.flight import Flight
 from mv_slapse.simulation.render import Renderer
 from mv_slapse.simulation.street import Plane, Street
 from mv_slapse.simulation.surfaces import SKY
@@ -93,6 +94,15 @@ def film(street: Street, folder: Path) -> Iterator[np.ndarray]:
         recorder.add(i, frame.surface)
         yield frame.image
     recorder.write(Path(folder))
+
+
+def film_flight(flight: Flight, folder: Path) -> Iterator[np.ndarray]:
+    """Yield the grey pictures (H, W) uint8 of a flight; after the last its poses are written."""
+    yield from flight.pictures()
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = (format_row(round(i * 1e9 / flight.settings.fps), *flight.pose(i))
+            for i in range(flight.settings.n_frames))
+    (folder / 'ground_truth.tum').write_text(''.join(row + '\n' for row in rows))
 
 
 def block_surfaces(surface: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""``make evaluate``: every sequence in every encoding and rendered streets, in two tables.
+"""``make evaluate``: every sequence in every encoding and what is rendered, in two tables.
 
 Sequences are read where they lie, ``../shared/data`` beside the checkout; rendered streets need
 nothing. The page names the commit and the commands, so that anybody can repeat a row.
@@ -6,37 +6,26 @@ nothing. The page names the commit and the commands, so that anybody can repeat 
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass
-import itertools
 from pathlib import Path
 import subprocess
 import sys
 import tempfile
 from typing import Any
 
-from mv_slapse.codec.encoder import Encoding, LOW_LATENCY, write_video
 from mv_slapse.config import SceneSettings, Settings
 from mv_slapse.errors import MvSlapseError
-from mv_slapse.geometry.camera import Camera
-from mv_slapse.simulation.street import Street, StreetSettings
-from mv_slapse.simulation.truth import film
-from mv_slapse.storage.camera_info import read_camera
+from mv_slapse.tools import cases
+from mv_slapse.tools.cases import Case
 from mv_slapse.tools.eval import evaluate
 from mv_slapse.tools.run import run
 
 DATA = Path('../shared/data')
-HEIGHTS = {'kitti00': 1.65, 'tusimple': 1.8}  # m, camera above the road, from the data sets
 STREETS = 5
 STREET_FRAMES = 150
-ENCODINGS = {'mpeg2': Encoding('mpeg2video', b_frames=3, gop=12), 'h264_lowlatency': LOW_LATENCY,
-             'h264_bframes': Encoding('h264', b_frames=3, gop=30)}
-TRAFFIC = {  # kind of street: which cars move, by turns from seed to seed
-    'street': (('slower', 'faster', 'oncoming'),),
-    'crossing': (('starting', 'crossing', 'oncoming'), ('stopping', 'crossing', 'faster')),
-    'quiet': ((),)}
 COLUMNS = {
     'poses': ('n_poses', '{:d}'), 'ATE [%]': ('ate_mean_percent', '{:.3f}'),
     'rigid [%]': ('ate_rigid_mean_percent', '{:.3f}'),
+    'standstill [m]': ('standstill_drift_m', '{:.3f}'),
     'planes': ('n_planes', '{:d}'), 'depth [m]': ('plane_depth_error_m', '{:.2f}'),
     'normal [deg]': ('plane_normal_error_deg', '{:.1f}'),
     'called moving': ('movers_found', '{:d}'), 'of': ('movers_total', '{:d}'),
@@ -54,56 +43,6 @@ OBSTACLE_COLUMNS = {
     'annotated, met': ('annotated_vehicles_met', '{:d}'),
     'its position [%]': ('annotated_position_error_percent', '{:.1f}'),
     'its velocity [m/s]': ('annotated_velocity_error_m_s', '{:.2f}')}
-
-
-@dataclass(frozen=True)
-class Case:
-    """One row: a video, its camera, and the truth there is."""
-
-    name: str
-    video: Path
-    camera: Camera
-    height: float = 0.0
-    ground_truth: Path | None = None
-    labels: Path | None = None
-    boxes: Path | None = None
-    annotation: Path | None = None
-
-
-def sequences(data: Path) -> Iterator[Case]:
-    """Yield every video below a folder that has a camera beside it."""
-    for folder in sorted({path.parent for path in data.rglob('camera.yaml')}):
-        camera = read_camera(folder / 'camera.yaml')
-        truth = [folder / name if (folder / name).exists() else None for name in
-                 ('ground_truth.tum', 'motion_labels.npz', 'boxes.csv', 'annotation.json')]
-        for video in sorted([*folder.glob('*.mp4'), *folder.glob('*.mpg')]):
-            yield Case(f'{folder.relative_to(data)}/{video.name}', video, camera,
-                       HEIGHTS.get(folder.name, 0.0), *truth)
-
-
-def streets(folder: Path, count: int, n_frames: int, only: str = '') -> Iterator[Case]:
-    """Render streets of different seeds into a folder and yield them in every encoding.
-
-    ``only``: those whose row's name holds this text.
-    """
-    for kind, seed in itertools.product(TRAFFIC, range(count)):
-        names = {f'{kind} {seed}/{codec}.{_suffix(encoding)}': encoding
-                 for codec, encoding in ENCODINGS.items()}
-        names = {name: encoding for name, encoding in names.items() if only in name}
-        if not names:
-            continue
-        movers = TRAFFIC[kind][seed % len(TRAFFIC[kind])]
-        street = Street(StreetSettings(seed=seed, n_frames=n_frames, movers=movers))
-        place = folder / f'{kind} {seed}'
-        images = list(film(street, place / 'truth'))
-        for name, encoding in names.items():
-            write_video(folder / name, images, street.settings.fps, encoding)
-            yield Case(name, folder / name, street.camera, street.settings.camera_height,
-                       place / 'truth')
-
-
-def _suffix(encoding: Encoding) -> str:
-    return 'mpg' if encoding.codec == 'mpeg2video' else 'mp4'
 
 
 def measure(case: Case, output: Path) -> dict[str, Any]:
@@ -142,7 +81,8 @@ def page(measured: dict[str, dict[str, Any]], commit: str) -> str:
         'A row is `mv_slapse run VIDEO --camera camera.yaml [--camera-height H] -o OUT`, then '
         '`mv_slapse eval OUT --ground-truth …`.\n'
         'ATE: mean position error after similarity alignment, rigid: after rigid alignment, in '
-        'per cent of the way; CPU: of all stages, for each frame of the video.\n\n'
+        'per cent of the way; standstill: farthest from where it stopped; CPU: of all stages, for '
+        'each frame of the video.\n\n'
         f'{_table(measured, COLUMNS)}\n'
         '## Moving obstacles\n\n'
         'In time: passages of movers of at least 6 macroblocks met by a confirmed obstacle '
@@ -167,6 +107,17 @@ def commit_of(folder: Path) -> str:
     return answer.stdout.strip() or 'unknown'
 
 
+def all_cases(options: argparse.Namespace, folder: Path) -> Iterator[Case]:
+    """Yield what the options ask for, in the order of the page."""
+    if options.data.is_dir():
+        yield from cases.sequences(options.data)
+        yield from cases.cameraless(options.data)
+        yield from cases.recoded(options.data, folder, options.only)
+    yield from cases.streets(folder, options.streets, options.frames, options.only)
+    yield from cases.drives(folder, options.only)
+    yield from cases.flights(folder, options.only)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Measure everything and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -178,9 +129,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     measured = {}
     with tempfile.TemporaryDirectory() as folder:
-        found = sequences(options.data) if options.data.is_dir() else iter(())
-        rendered = streets(Path(folder), options.streets, options.frames, options.only)
-        for case in itertools.chain(found, rendered):
+        for case in all_cases(options, Path(folder)):
             if options.only in case.name:
                 figures = measured[case.name] = measure(case, Path(folder) / 'out')
                 print(row(case.name, figures) + row('', figures, OBSTACLE_COLUMNS)[3:],

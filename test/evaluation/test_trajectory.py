@@ -129,3 +129,15 @@ def test_evo_gives_the_same_figures(rng):
         rpe = metrics.RPE(relation, delta=1, delta_unit=metrics.Unit.frames)
         rpe.process_data(pair)
         assert_allclose(ours, rpe.error, rtol=1e-6, atol=1e-9)
+
+
+def test_drift_at_rest_is_the_farthest_from_where_a_standstill_began():
+    """Drives 2 s, rests 2 s, drives on; the estimate creeps by 3 mm while it rests, and back."""
+    time = np.arange(60) * 0.1
+    way = np.clip(time, 0, 2) + np.clip(time - 4, 0, None)
+    target = np.c_[way, 0 * way, 0 * way]
+    source = target.copy()
+    source[25:30, 1] += 0.003
+    stamps = (time * 1e9).astype(np.int64)
+    assert trajectory._standstill_drift(source, target, stamps) == pytest.approx(0.003)
+    assert trajectory._standstill_drift(source[:28], target[:28], stamps[:28]) is None

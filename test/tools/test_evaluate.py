@@ -1,6 +1,19 @@
 """The table of ``make evaluate``, on one short rendered street."""
 
-from mv_slapse.tools import evaluate
+from dataclasses import replace
+
+from mv_slapse.codec.encoder import LOW_LATENCY, write_video
+from mv_slapse.codec.pictures import pictures
+from mv_slapse.codec.source import open_source
+from mv_slapse.geometry.camera import Camera
+from mv_slapse.simulation.flight import FISHEYE
+from mv_slapse.storage.camera_info import write_camera
+from mv_slapse.storage.tum import read_trajectory
+from mv_slapse.tools import cases, evaluate
+import numpy as np
+import pytest
+
+CAMERA = Camera(256, 192, np.array([[200.0, 0, 127.5], [0, 200.0, 95.5], [0, 0, 1]]))
 
 
 def test_a_street_gives_a_row_for_each_encoding_with_its_errors(tmp_path):
@@ -11,7 +24,7 @@ def test_a_street_gives_a_row_for_each_encoding_with_its_errors(tmp_path):
     middle = lines.index('## Moving obstacles')
     rows = [line for line in lines[:middle] if line.startswith('| street 0')]
     assert code == 0
-    assert len(rows) == len(evaluate.ENCODINGS)
+    assert len(rows) == len(cases.ENCODINGS)
     assert sum(line.startswith('| street 0') for line in lines[middle:]) == len(rows)
     for line in rows:
         cells = [cell.strip() for cell in line.strip('|').split('|')]
@@ -21,12 +34,55 @@ def test_a_street_gives_a_row_for_each_encoding_with_its_errors(tmp_path):
 
 
 def test_an_encoding_alone_is_rendered_for_each_kind_of_street(tmp_path):
-    cases = list(evaluate.streets(tmp_path, 1, 4, only='mpeg2'))
-    assert [case.name for case in cases] == [f'{kind} 0/mpeg2.mpg' for kind in evaluate.TRAFFIC]
-    assert all(case.video.exists() for case in cases)
+    found = list(cases.streets(tmp_path, 1, 4, only='mpeg2'))
+    assert [case.name for case in found] == [f'{kind} 0/mpeg2.mpg' for kind in cases.TRAFFIC]
+    assert all(case.video.exists() for case in found)
 
 
 def test_a_refusal_is_a_row_that_says_why():
     line = evaluate.row('clip', {'error': 'not a video'})
     assert line.startswith('| clip | not a video |')
     assert line.count('|') == len(evaluate.COLUMNS) + 2
+
+
+def test_a_flight_comes_with_its_poses_and_the_lens(tmp_path, monkeypatch):
+    lens, settings = cases.FLIGHTS['flight, fisheye']
+    monkeypatch.setitem(cases.FLIGHTS, 'flight, fisheye', (lens, replace(settings, n_frames=3)))
+    case, = cases.flights(tmp_path, 'fisheye/mpeg2')
+    assert case.camera is FISHEYE
+    assert len(read_trajectory(case.ground_truth / 'ground_truth.tum')) == 3
+    assert len(list(pictures(case.video))) == 3
+
+
+@pytest.fixture
+def data(tmp_path):
+    """Return a folder like that of the sequences, with 40 pictures of noise at 10 Hz."""
+    folder = tmp_path / 'data' / 'kitti00'
+    folder.mkdir(parents=True)
+    images = np.random.default_rng(0).integers(0, 256, (40, 192, 256), np.uint8)
+    write_video(folder / 'h264_lowlatency.mp4', images, 10.0, LOW_LATENCY)
+    write_camera(folder / 'camera.yaml', CAMERA)
+    (folder / 'ground_truth.tum').write_text('')
+    return folder.parent
+
+
+def test_a_sequence_is_encoded_anew_with_fewer_bits_and_with_fewer_pictures(data, tmp_path):
+    sizes = {}
+    for case in cases.recoded(data, tmp_path):
+        with open_source(case.video) as source:
+            packets = list(source.packets())
+        assert len(packets) == (20 if '5 Hz' in case.name else 40)
+        assert max(packet.stamp for packet in packets) == pytest.approx(3.9e9, abs=1.01e8)
+        assert case.height == 1.65
+        sizes[case.name] = np.mean([len(packet.data) for packet in packets])
+    low, slow = np.reshape(list(sizes.values()), (2, 3))
+    assert np.all(low < 0.7 * slow)
+
+
+def test_a_video_without_a_calibration_gets_a_guessed_one(tmp_path):
+    folder = tmp_path / 'original_codec'
+    folder.mkdir()
+    write_video(folder / 'a.mp4', np.zeros((3, 96, 128), np.uint8), 10.0, LOW_LATENCY)
+    case, = cases.cameraless(tmp_path)
+    np.testing.assert_allclose(case.camera.K[:2], [[102.4, 0, 63.5], [0, 102.4, 47.5]])
+    assert case.ground_truth is None
