@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 from mv_slapse.filters import ekf
 from mv_slapse.filters import obstacle_motion as om
-from mv_slapse.filters.detections import CELL, Detection
+from mv_slapse.filters.detections import Detection
+from mv_slapse.geometry.blocks import MACROBLOCK
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
@@ -31,7 +32,7 @@ def overlap(x: np.ndarray, other: np.ndarray) -> float:
 
 
 def _cells(x):
-    return set(map(tuple, (np.floor(x / CELL)).astype(int).tolist()))
+    return set(map(tuple, (np.floor(x / MACROBLOCK)).astype(int).tolist()))
 
 
 def observed(detection: Detection) -> np.ndarray:
@@ -138,7 +139,7 @@ def is_part(whole: tuple[np.ndarray, np.ndarray], whole_box: np.ndarray,
 def _touch(a, b):
     """Whether two boxes lie at most a block, or a share of the larger one, apart."""
     gap = np.maximum(a[:2], b[:2]) - np.minimum(a[:2] + a[2:], b[:2] + b[2:])
-    return bool(np.all(gap <= max(CELL, GAP_SHARE * max(np.min(a[2:]), np.min(b[2:])))))
+    return bool(np.all(gap <= max(MACROBLOCK, GAP_SHARE * max(np.min(a[2:]), np.min(b[2:])))))
 
 
 def _share_depth(one, other):

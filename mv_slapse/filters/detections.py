@@ -8,12 +8,12 @@ from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import obstacle_motion as om
 from mv_slapse.filters.view import View
 from mv_slapse.geometry import moving_plane
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import Extraction, Label, PlaneHandover, ScalePrior
 import numpy as np
 from scipy.ndimage import label as components
 
-CELL = 16  # [px] of the lattice on which regions are compared
 OUTLINE_SHARE = 0.08  # of a region's size: how well its blocks show its middle
 CUT_SHARE = 0.3  # the same where the picture's edge cuts it off
 SHAPE_SHARE = 0.03  # of a rate: vehicles are no planes, and their faces move apart
@@ -84,7 +84,7 @@ def box_of(x: np.ndarray, block: np.ndarray) -> np.ndarray:
 
 def is_cut(box: np.ndarray, view: View) -> np.ndarray:
     """Return whether the picture's edge cuts a box (4,) off across and down, (2,) bool."""
-    return (box[:2] < CELL / 2) | (box[:2] + box[2:] > view.size - CELL / 2)
+    return (box[:2] < MACROBLOCK / 2) | (box[:2] + box[2:] > view.size - MACROBLOCK / 2)
 
 
 def detections(extraction: Extraction, view: View, settings: ObstacleSettings) -> list[Detection]:
@@ -159,7 +159,7 @@ def _blocks(extraction, plane_id):
     x, block = extraction.x_cur[at].astype(float), extraction.block[at].astype(float)
     if len(x) < 2:
         return x, block
-    cell = np.maximum((x // CELL).astype(int), 0)
+    cell = np.maximum((x // MACROBLOCK).astype(int), 0)
     lattice = np.zeros(cell.max(axis=0) + 1, bool)
     lattice[tuple(cell.T)] = True
     # A block missing inside a surface must not tear it apart: fill single gaps before joining.
@@ -216,7 +216,7 @@ def blurred(detection, view, settings):
     camera's rotation, and that of the plane.
     """
     bias = settings.vector_bias / np.diag(view.K)[:2]
-    growth = settings.vector_bias / max(0.5 * float(np.min(detection.box[2:])), CELL / 2)
+    growth = settings.vector_bias / max(0.5 * float(np.min(detection.box[2:])), MACROBLOCK / 2)
     x, y = detection.z[om.BEARING]
     turn = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x], [0.0, 0.0, 0.0]])
     shared = np.diag(np.r_[bias**2, growth**2]) + turn @ view.rotation_covariance @ turn.T
@@ -235,7 +235,7 @@ def _on_ground(detection, view):
                                        detection.z[om.BEARING])
     if depth is None:
         return detection
-    hidden = contact.point[1] + CELL > view.size[1]
+    hidden = contact.point[1] + MACROBLOCK > view.size[1]
     swap = np.eye(om.SIZE)
     swap[2, 2] = 0.0
     swap[2, om.SLOPE] = depth.by_slope

@@ -1,12 +1,11 @@
 """Which correspondences of an extraction correct the scene."""
 
 from mv_slapse.geometry import two_view
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import Extraction, Label
 import numpy as np
 from scipy import ndimage
-
-MACROBLOCK = 16  # px
 
 
 def stationary(extraction: Extraction):

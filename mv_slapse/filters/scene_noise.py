@@ -6,11 +6,11 @@ from mv_slapse.config import SceneSettings
 from mv_slapse.filters import scene_gate
 from mv_slapse.filters.scene_state import log_baseline, SceneState
 from mv_slapse.geometry import epipolar, two_view
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.records import Extraction
 import numpy as np
 from scipy import ndimage
 
-CELL = 16  # px, a macroblock: vectors of one and of its neighbours err together
 REACH = 5  # macroblocks across the window in which errors are compared
 WIDTH = 3.0  # of the kernel, as in the update
 LEAST = 50  # correspondences whose errors can tell
@@ -85,7 +85,7 @@ def measured(pair: two_view.Pair, R, t) -> float:
     weight = np.square(bounded)
     influence = weight * error
     slope = weight - 4 * np.square(error / WIDTH) * bounded**3
-    cell = np.floor(pair.x_prev / CELL).astype(int)
+    cell = np.floor(pair.x_prev / MACROBLOCK).astype(int)
     cell -= cell.min(axis=0)
     total = np.zeros(cell.max(axis=0) + 1)
     np.add.at(total, tuple(cell.T), influence)

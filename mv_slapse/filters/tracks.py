@@ -5,9 +5,10 @@ from dataclasses import dataclass, field, replace
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import association, ekf
 from mv_slapse.filters import obstacle_motion as om
-from mv_slapse.filters.detections import box_of, CELL, Detection, Edge, is_cut
+from mv_slapse.filters.detections import box_of, Detection, Edge, is_cut
 from mv_slapse.filters.management import Evidence, within
 from mv_slapse.filters.view import View
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import Extraction, Label, Obstacle, ObstacleState, PlaneHandover, ScalePrior
 import numpy as np
@@ -170,7 +171,7 @@ class Track:
 
     def height(self, view: View) -> float:
         """Return how tall it looks [map unit], less a macroblock and a half for the outline."""
-        seen = self.box(view)[3] - 1.5 * CELL
+        seen = self.box(view)[3] - 1.5 * MACROBLOCK
         return float(np.exp(self.mu[2]) * seen / view.K[1, 1])
 
     def is_moving(self, settings: ObstacleSettings) -> bool:

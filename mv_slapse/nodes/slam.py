@@ -12,7 +12,7 @@ from mv_slapse.nodes.health import every
 from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.scene_output import SceneOutput
 from mv_slapse.nodes.shell import run, Shell
-from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus, SegmentKind
+from mv_slapse.records import Extraction, Label
 from mv_slapse_msgs.msg import PlaneObservations
 
 TOPIC = 'planes/observations'
@@ -51,7 +51,6 @@ class SlamNode(Shell):
         frames = self._extrinsics.frames(msg.header.frame_id)
         if 0 < self._newest < extraction.previous_stamp:
             self.health.count('gaps')
-            self._advance(missing_pair(extraction, self._newest), frames)
         self._advance(extraction, frames)
 
     def _advance(self, extraction: Extraction, frames: RosFrames):
@@ -61,17 +60,6 @@ class SlamNode(Shell):
         self._archive.add(scene, extraction.previous_stamp)
         self._handovers.publish(given, frames)
         self._output.publish(scene, frames)
-
-
-def missing_pair(extraction: Extraction, newest: int) -> Extraction:
-    """Return a pair that tells nothing, from the key frame ``newest`` [ns] to this pair's first.
-
-    Where messages were lost the filter needs it: a pair speaks of the motion since its own
-    previous key frame, not since the last one that arrived.
-    """
-    return Extraction(extraction.previous_stamp, newest, extraction.width, extraction.height,
-                      SegmentKind.BROKEN, extraction.K, CameraMotion(MotionStatus.UNKNOWN),
-                      reason='messages were lost before this key frame')
 
 
 def main(args: list[str] | None = None) -> int:

@@ -1,10 +1,8 @@
 """The lattice of macroblocks: which cell a pixel lies in, and which blocks belong together."""
 
+from mv_slapse.geometry.blocks import CELL, MACROBLOCK
 import numpy as np
 from scipy import ndimage
-
-MACROBLOCK = 16  # px
-CELL = 8  # px, the smallest partition that decoders report
 
 
 def cells(x: np.ndarray, shape: tuple[int, int], size: int = CELL) -> tuple:

@@ -9,6 +9,8 @@ pytest.importorskip('mv_slapse_msgs')
 from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStamped  # noqa: E402
 import made_up  # noqa: E402
 from mv_slapse import fields  # noqa: E402
+from mv_slapse.config import SceneSettings  # noqa: E402
+from mv_slapse.filters.scene import SceneFilter  # noqa: E402
 from mv_slapse.geometry.ros_frames import R_BODY_FROM_OPTICAL, RosFrames  # noqa: E402
 from mv_slapse.nodes.conversions import to_message  # noqa: E402
 from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
@@ -173,20 +175,22 @@ def test_a_plane_handed_over_by_the_tracker_takes_effect_at_the_next_key_frame(b
     assert [77 in [plane.id for plane in msg.planes] for msg in maps] == [False, False, True, True]
 
 
-def test_where_a_message_was_lost_the_pose_is_predicted_to_the_next_pair(bench):
-    maps = bench.listen(PlaneMap, 'planes/map', LATCHED)
+def test_where_a_message_was_lost_the_robot_does_as_a_replay_of_the_rest(bench):
     odometry = bench.listen(Odometry, 'odometry')
     node = bench.start(SlamNode, **PARAMETERS)
     publisher = bench.advertise(PlaneObservations, 'planes/observations')
     steps = drives.steps(8)
-    for step in [*steps[:4], *steps[5:]]:
+    rest = [step.extraction for step in [*steps[:4], *steps[5:]]]
+    # The depths of the pair that follows are compared with those of the one that was lost.
+    assert np.isfinite(rest[4].baseline_ratio_sigma)
+    for extraction in rest:
         publisher.publish(to_message(PlaneObservations, fields.extraction_to_fields(
-            step.extraction, RosFrames(camera='cam'))))
-    assert bench.spin(lambda: len(odometry) == 8, 30)
-    tracking = {fields.stamp_from_message(m.header.stamp): m for m in maps}
-    missed = tracking[steps[4].scene.stamp]
-    assert missed.tracking == TrackingStatus.PREDICTED
-    assert 'lost' in missed.reason
+            extraction, RosFrames(camera='cam'))))
+    assert bench.spin(lambda: len(odometry) == 7, 30)
+    filter_ = SceneFilter(SceneSettings(camera_height=drives.HEIGHT))
+    replayed = np.array([filter_.step(extraction)[0].t_world_from_cam for extraction in rest])
+    np.testing.assert_allclose([position(msg) for msg in odometry],
+                               np.c_[replayed[:, 2], -replayed[:, 0], -replayed[:, 1]], atol=1e-5)
     np.testing.assert_allclose(position(odometry[-1]), expected_positions(8)[-1], atol=0.15)
     assert 'gaps' in str(node.health.status().values)
 
