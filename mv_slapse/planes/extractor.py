@@ -8,6 +8,7 @@ from mv_slapse.geometry import epipolar, two_view
 from mv_slapse.geometry.camera import Camera, to_rays, undistort
 from mv_slapse.planes import (
     camera_motion,
+    doubtful,
     extraction,
     ground,
     labeling,
@@ -21,6 +22,7 @@ from mv_slapse.planes.consensus import Depths
 from mv_slapse.planes.extraction import PlaneFit
 from mv_slapse.planes.ground import GroundPrior, GroundTrack, Mount
 from mv_slapse.planes.known import KnownPlane
+from mv_slapse.planes.memory import Memory
 from mv_slapse.records import (
     CameraMotion,
     Correspondences,
@@ -34,40 +36,21 @@ import numpy as np
 # Mean robust cost at which the last motion explains a pair as well as five points would: about two
 # thirds of the blocks within a standard deviation.
 PREDICTED_COST = 0.35
-ANY_RATIO = 1.5  # of the log of a baseline after a stop over the one before it: a factor of 4
-
-
-@dataclass(frozen=True)
-class Memory:
-    """What the last key frame leaves for the next: motion, depths, ground and planes."""
-
-    stamp: int | None = None
-    motion: MotionFit | None = None
-    previous_stamp: int | None = None
-    ground: GroundTrack = GroundTrack(Mount())
-    noise: float = 1.0
-    next_id: int = 0
-    depths: scale.DepthMap | None = None
-    planes: tuple[KnownPlane, ...] = ()
-
-    def turned(self, stamp: int, R) -> 'Memory':
-        """Return it after the camera has turned by R_cur_from_prev on the spot."""
-        planes = tuple(replace(plane, plane=R @ plane.plane, covariance=R @ plane.covariance @ R.T)
-                       for plane in self.planes)
-        floor = self.ground.plane
-        floor = floor if floor is None else R @ floor
-        return replace(self, stamp=stamp, previous_stamp=None, depths=None, planes=planes,
-                       ground=replace(self.ground, plane=floor))
+MANY_MOVERS = 0.9  # share of blocks left below which the motion is estimated anew without them
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a key frame pair shows: motion, evidence of its blocks, planes, moving planes."""
+    """What a key frame pair shows: motion, evidence of its blocks, planes, moving planes.
+
+    ``doubtful`` blocks (N,) bool may belong to these.
+    """
 
     fit: MotionFit
     evidence: labeling.Evidence
     planes: list[PlaneFit]
     moving: Extraction | None = None
+    doubtful: np.ndarray | None = None
 
 
 class PlaneExtractor:
@@ -97,7 +80,7 @@ class PlaneExtractor:
             return replace(blank, reason=reason)
         if _stands_still(pair, settings.standstill_share):
             return self._standing(blank)
-        fit = self._motion(pair)
+        fit, free = self._first_motion(blank, pair)
         pair, noise = camera_motion.calibrated(pair, fit, self._memory.noise)
         evidence = labeling.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
                                      settings.relief)
@@ -107,7 +90,8 @@ class PlaneExtractor:
             return self._turning(blank, pair, fit.R_cur_from_prev)
         ratio = self._ratio(blank, pair, evidence, fit)
         floor = self._ground_prior(blank, fit, ratio)
-        found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor))
+        found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor,
+                                                  free))
         found = self._moving(blank, pair, self._named(found), floor)
         found = self._refined(pair, found)
         # Anew, by the motion that the next pair will compare with: its error then cancels.
@@ -133,7 +117,7 @@ class PlaneExtractor:
     def _standing(self, blank: Extraction) -> Extraction:
         """Label a key frame pair of a camera that stands still."""
         still = np.linalg.norm(blank.x_cur - blank.x_prev, axis=1) < 0.5
-        self._memory = replace(self._memory, stamp=blank.stamp, previous_stamp=None)
+        self._memory = replace(self._memory, stamp=blank.stamp, previous_stamp=None, movers=None)
         motion = CameraMotion(MotionStatus.STANDSTILL,
                               covariance=np.diag([1e-8] * 3 + [0.0] * 3))
         return self._without_baseline(blank, motion, still)
@@ -172,11 +156,36 @@ class PlaneExtractor:
         t, _ = labeling.orient(pair, best.R_cur_from_prev, best.t_cur_from_prev)
         return replace(best, t_cur_from_prev=t)
 
-    def _planes(self, blank, pair, evidence, fit, ratio, prior: GroundPrior) -> list[PlaneFit]:
+    def _first_motion(self, blank, pair) -> tuple[MotionFit, np.ndarray]:
+        """Estimate the motion without what was a mover, and what must be one by the ground.
+
+        Also returns the blocks (N,) bool that are left.
+        """
+        memory = self._memory
+        follows = memory.stamp == blank.previous_stamp
+        held = doubtful.taken(memory.movers if follows else None, blank.x_prev.astype(float))
+        free = doubtful.without(held)
+        fit = self._motion(pair[free])
+        if follows and memory.ground.plane is not None:
+            prior = self._ground_prior(blank, fit, scale.BaselineRatio())
+            free = doubtful.without(held | self._below(pair, fit, prior))
+            if np.mean(free) < MANY_MOVERS:
+                fit = _refined_from(pair[free], fit.R_cur_from_prev, fit.t_cur_from_prev)
+        return fit, free
+
+    def _below(self, pair, fit: MotionFit, prior: GroundPrior) -> np.ndarray:
+        """Return the blocks (N,) bool below the ground that is expected, none: too unsure."""
+        if prior.spread > ground.FORGOTTEN:
+            return np.zeros(len(pair), bool)
+        return doubtful.below(pair, fit.R_cur_from_prev, fit.t_cur_from_prev,
+                              prior.normal * prior.inverse_depth, prior.spread)
+
+    def _planes(self, blank, pair, evidence, fit, ratio, prior: GroundPrior,
+                free) -> list[PlaneFit]:
         """Find the ground, then known planes, then new ones, among stationary blocks."""
         rng = np.random.default_rng(self._settings.seed)
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
-        free = _with_depth(evidence)
+        free = free & _with_depth(evidence)
         found = []
         floor = ground.find_ground(depths, free, prior, self._rules, rng)
         if floor is not None:
@@ -196,7 +205,7 @@ class PlaneExtractor:
         memory = self._memory
         if memory.stamp != blank.previous_stamp:
             return []
-        log, sigma = self._log_ratio(blank, ratio)
+        log, sigma = self._memory.log_ratio(blank, ratio)
         R, t = fit.R_cur_from_prev, fit.t_cur_from_prev
         predicted = (plane.predicted(R, t, log, sigma) for plane in memory.planes)
         return [plane for plane in predicted if plane is not None]
@@ -204,7 +213,7 @@ class PlaneExtractor:
     def _moving(self, blank, pair, found: Found, prior: GroundPrior) -> Found:
         """Find what moves by itself, and take it out of the stationary planes."""
         label, plane_id = _labels(found)
-        floor = next((plane.plane for plane in found.planes if plane.is_ground), None)
+        floor = seen = next((plane.plane for plane in found.planes if plane.is_ground), None)
         if floor is None and prior.spread < ground.FORGOTTEN:
             floor = prior.normal * prior.inverse_depth
         fit = found.fit
@@ -222,7 +231,10 @@ class PlaneExtractor:
         lost = {plane.id for plane in found.planes} - {plane.id for plane in planes}
         self._memory = replace(self._memory, planes=tuple(
             plane for plane in self._memory.planes if plane.id not in lost))
-        return replace(found, planes=planes, moving=shown)
+        unsure = doubtful.like_movers(shown)
+        if seen is not None:
+            unsure |= doubtful.below(pair, fit.R_cur_from_prev, fit.t_cur_from_prev, seen, 0.0)
+        return replace(found, planes=planes, moving=shown, doubtful=unsure)
 
     def _ratio(self, blank, pair, evidence, fit) -> scale.BaselineRatio:
         """Compare this pair's baseline with the last one's."""
@@ -232,30 +244,13 @@ class PlaneExtractor:
         now = scale.from_previous(
             (blank.width, blank.height), blank.x_prev, pair.rays_cur, evidence.rho,
             _noise(pair, fit), _with_depth(evidence), fit.R_cur_from_prev, fit.t_cur_from_prev)
-        return scale.baseline_ratio(memory.depths, now, self._steady(blank))
+        return scale.baseline_ratio(memory.depths, now, memory.steady(blank))
 
     def _ground_prior(self, blank, fit: MotionFit, ratio) -> GroundPrior:
         """Predict the ground; with unknown baseline ratio at an unchanged speed."""
-        log, sigma = self._log_ratio(blank, ratio)
+        log, sigma = self._memory.log_ratio(blank, ratio)
         return self._memory.ground.prior(fit.R_cur_from_prev, fit.t_cur_from_prev, log, sigma,
                                          self._settings.ground_wobble)
-
-    def _log_ratio(self, blank, ratio) -> tuple[float, float]:
-        """Return the logarithm of this baseline over the last one, and its uncertainty."""
-        memory = self._memory
-        if np.isfinite(ratio.sigma):
-            return ratio.log, ratio.sigma
-        if memory.previous_stamp is None:
-            return 0.0, ANY_RATIO
-        return self._steady(blank), 0.15  # 1.3 m/s at 30 km/h: a hard brake over one dead segment
-
-    def _steady(self, blank) -> float:
-        """Return the logarithm of this baseline over the last one at an unchanged speed."""
-        memory = self._memory
-        if memory.previous_stamp is None:
-            return 0.0
-        return float(np.log((blank.stamp - blank.previous_stamp)
-                            / (memory.stamp - memory.previous_stamp)))
 
     def _refined(self, pair, found: Found) -> Found:
         """Re-estimate motion and planes together, (10), and judge the blocks again."""
@@ -264,7 +259,7 @@ class PlaneExtractor:
         for i, plane in enumerate(planes):
             index[plane.member] = i
         stationary = found.evidence.epipolar_inlier & ~found.evidence.backward
-        stationary &= found.moving.label != Label.MOVING
+        stationary &= (found.moving.label != Label.MOVING) & ~found.doubtful
         R, t, values, covariance = refinement.reestimate(
             pair[stationary], fit.R_cur_from_prev, fit.t_cur_from_prev,
             [plane.plane for plane in planes], index[stationary], settings.relief)
@@ -277,7 +272,7 @@ class PlaneExtractor:
         planes = [plane for plane in planes if not plane.is_ground or mount.holds(plane.plane)]
         evidence = labeling.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
                                      settings.relief)
-        return Found(fit, evidence, planes, found.moving)
+        return Found(fit, evidence, planes, found.moving, found.doubtful)
 
     def _finished(self, blank, pair, found: Found, noise, prior) -> Extraction:
         """Write labels and planes down and keep what the next pair needs."""
@@ -314,8 +309,8 @@ class PlaneExtractor:
         self._memory = Memory(
             blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
             scale.depth_map(*size, blank.x_cur, evidence.rho, _noise(pair, found.fit),
-                            found.fit.t_cur_from_prev[2], _with_depth(evidence)),
-            self._memory.planes)
+                            found.fit.t_cur_from_prev[2], _with_depth(evidence) & ~found.doubtful),
+            self._memory.planes, doubtful.painted(found.moving))
 
 
 def _refined_from(pair: two_view.Pair, R, t) -> MotionFit:
@@ -334,6 +329,7 @@ def _labels(found: Found):
         plane_id[plane.member] = plane.id
     if found.moving is not None:
         moving = found.moving.label == Label.MOVING
+        label[found.doubtful] = Label.UNKNOWN
         label[moving] = Label.MOVING
         plane_id[moving] = found.moving.plane_id[moving]
     return label, plane_id
