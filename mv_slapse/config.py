@@ -51,6 +51,9 @@ class DecoderSettings(Checked):
         0.1, '-', 'the same, as a share of the length of the vector', 0.0)
     min_support: float = setting(
         2.0, '-', 'least support of a vector by its own and the 8 macroblocks around', 0.0, 9.0)
+    lone_probability: float = setting(
+        0.2, '-', 'probability of a vector that nothing supports, as a share of the probability '
+        'of others; a bare road shows no other ones; 0: they are left out', 0.0, 0.49)
     prior_votes: float = setting(
         1.0, '-', 'support that a vector gets from the motion of the pairs before, in macroblocks',
         0.0, 9.0)

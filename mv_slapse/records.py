@@ -5,7 +5,7 @@ messages are float32 here as well, so that a replay and a robot compute the same
 ``{W}`` (world) is the camera of the first key frame: x right, y down, z forward.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -118,6 +118,19 @@ class Correspondences:
     def __len__(self) -> int:
         """Return the number of correspondences."""
         return len(self.x_cur)
+
+    @property
+    def lone(self) -> np.ndarray:
+        """Return which (N,) bool no other vector supports: half as probable as the best or less.
+
+        Most are wrong. What makes no use of them leaves them out.
+        """
+        return self.probability < 0.5 * self.probability.max(initial=0)
+
+    def supported(self) -> 'Correspondences':
+        """Return the pair without lone vectors."""
+        keep, columns = ~self.lone, ('x_cur', 'x_prev', 'sigma', 'probability', 'block')
+        return replace(self, **{name: getattr(self, name)[keep] for name in columns})
 
 
 @dataclass(frozen=True)

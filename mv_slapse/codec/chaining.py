@@ -38,7 +38,7 @@ class Chainer:
         if self._chain is None:
             self._chain, self._links = pair, 1
         else:
-            self._chain = chain(pair, self._chain, self._settings)
+            self._chain = chain(pair.supported(), self._chain.supported(), self._settings)
             self._links += 1
         return self.flush() if self._is_long_enough() else []
 
@@ -48,7 +48,7 @@ class Chainer:
         return [] if held is None else [held]
 
     def _is_long_enough(self) -> bool:
-        pair, settings = self._chain, self._settings
+        pair, settings = self._chain.supported(), self._settings
         age_after_next = (pair.stamp - pair.previous_stamp + self._step) / NANOSECONDS
         if age_after_next > settings.max_chain_time or self._links >= settings.max_chain:
             return True

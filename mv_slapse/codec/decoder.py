@@ -49,7 +49,7 @@ class CorrespondenceDecoder:
         pairs = [self._bridged(segment)] if segment.kind is SegmentKind.BROKEN else (
             self._merged(segment))
         for pair in pairs:
-            self._expect.add(pair)
+            self._expect.add(pair.supported())
         return pairs
 
     def _merged(self, segment: Segment) -> list[Correspondences]:
@@ -61,7 +61,8 @@ class CorrespondenceDecoder:
         parts = [merge(half, self._settings, self._expect)
                  for half in halves(segment, self._settings)]
         # Fewer matches over half the distance: the B frame's vectors mean other pictures.
-        good = min(map(len, parts)) >= self._settings.split_share * len(whole)
+        shorter = min(len(part.supported()) for part in parts)
+        good = shorter >= self._settings.split_share * len(whole)
         return parts if good else [whole]
 
     def _bridged(self, segment: Segment) -> Correspondences:
@@ -69,7 +70,7 @@ class CorrespondenceDecoder:
         if self._settings.bridge_intra and can_bridge(segment):
             found = search(segment, self._expect, self._settings)
             pair = average(replace(segment, kind=SegmentKind.PP), found, self._settings)
-            if len(pair) >= self._settings.bridge_minimum:
+            if len(pair.supported()) >= self._settings.bridge_minimum:
                 return pair
         self._expect.reset()
         return _broken(segment)

@@ -88,14 +88,18 @@ def average(segment: Segment, evidence: Evidence, settings: DecoderSettings,
             field: np.ndarray | None = None) -> Correspondences:
     """Return one correspondence for each macroblock on which the given evidence agrees."""
     frame = segment.current
-    x, vector, variance = consensus(evidence, frame.width, frame.height, settings, field,
-                                    not is_ambiguous(segment))
+    # Over several pictures, or to one of several, a vector that nothing supports says nothing.
+    direct = not segment.between and not is_ambiguous(segment)
+    x, vector, variance, lone = _chosen(evidence, frame.width, frame.height, settings, field,
+                                        not is_ambiguous(segment))
+    if not (direct and settings.lone_probability):
+        x, vector, variance, lone = x[~lone], vector[~lone], variance[~lone], lone[~lone]
     chance = existence(segment.kind, len(segment.between), settings.match_probability)
     return Correspondences(
         frame.stamp, segment.previous.stamp, frame.width, frame.height, segment.kind,
         len(segment.between), x_cur=x, x_prev=x + vector,
         sigma=settings.vector_sigma * np.sqrt(variance),
-        probability=np.full(len(x), chance, np.float32),
+        probability=np.where(lone, settings.lone_probability * chance, chance).astype(np.float32),
         block=np.full((len(x), 2), MACROBLOCK, np.uint8))
 
 
@@ -125,6 +129,12 @@ def consensus(evidence: Evidence, width: int, height: int, settings: DecoderSett
     variance : (N,) float32
         In units of one vector's variance.
     """
+    *columns, lone = _chosen(evidence, width, height, settings, field, grows)
+    return tuple(column[~lone] for column in columns)
+
+
+def _chosen(evidence: Evidence, width: int, height: int, settings: DecoderSettings, field, grows):
+    """Return place, vector, variance as in consensus, and which have too little support."""
     shape = (-(-height // MACROBLOCK) + 2, -(-width // MACROBLOCK) + 2)
     slots = _slots(evidence, shape, settings)
     clusters = [_cluster(slots, settings)]
@@ -136,12 +146,16 @@ def consensus(evidence: Evidence, width: int, height: int, settings: DecoderSett
     votes = votes.reshape(2, -1) + [np.minimum(cluster.company, 1) for cluster in clusters]
     support = votes + [_expectation(cluster.vector, field, shape, settings)
                        for cluster in clusters]
-    cell = np.flatnonzero(np.maximum(*support) >= settings.min_support)
-    best = support.argmax(axis=0)[cell]
+    best = support.argmax(axis=0)
+    moved = np.take_along_axis(np.stack([np.any(cluster.vector != 0, axis=1) & (cluster.mass > 0)
+                                         for cluster in clusters]), best[None], axis=0)[0]
+    supported = np.maximum(*support) >= settings.min_support
+    cell = np.flatnonzero(supported | moved)
+    best = best[cell]
     x, vector, variance, company = (
         np.stack([getattr(cluster, name) for cluster in clusters])[best, cell]
         for name in ('x', 'vector', 'variance', 'company'))
-    return x, vector, variance * _doubt(votes[best, cell], company)
+    return x, vector, variance * _doubt(votes[best, cell], company), ~supported[cell]
 
 
 def _expectation(vector: np.ndarray, field: np.ndarray | None, shape: tuple[int, int],

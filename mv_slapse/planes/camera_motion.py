@@ -1,6 +1,6 @@
 """Camera motion of a key frame pair from its correspondences, [MVO] 4.1."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 from mv_slapse.geometry import epipolar, rotation, two_view
@@ -152,7 +152,7 @@ def _damped_step(rays_cur, rays_prev, focal, R, t, basis, A, b, sigma, cost, dam
 
 
 def calibrated(pair: two_view.Pair, fit: MotionFit, noise: float):
-    """Scale sigma to the errors that this pair shows, smoothed over the last pairs.
+    """Return the scale of sigma that the errors of this pair show, smoothed over the last pairs.
 
     The scale is the median epipolar error of the blocks within three sigma, over the median of
     a Gaussian cut there: wrong vectors do not count.
@@ -165,4 +165,4 @@ def calibrated(pair: two_view.Pair, fit: MotionFit, noise: float):
         if close.sum() < MIN_CORRESPONDENCES:
             break
         noise = float(np.clip(noise * np.median(ratio[close]) / 0.6724, 0.3, 4.0))
-    return replace(pair, sigma=noise * pair.sigma), noise
+    return noise

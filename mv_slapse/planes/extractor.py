@@ -5,7 +5,7 @@ import itertools
 
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry import epipolar, two_view
-from mv_slapse.geometry.camera import Camera, to_rays, undistort
+from mv_slapse.geometry.camera import Camera, undistort
 from mv_slapse.planes import (
     camera_motion,
     doubtful,
@@ -14,6 +14,7 @@ from mv_slapse.planes import (
     labeling,
     lattice,
     moving_regions,
+    pairs,
     refinement,
     scale,
 )
@@ -73,31 +74,41 @@ class PlaneExtractor:
         Returns an Extraction whose motion status is UNKNOWN, with a reason, where the pair is
         broken or no motion explains enough of its vectors.
         """
-        settings, blank = self._settings, self._blank(correspondences)
-        pair = _pair(blank)
-        reason = correspondences.reason or _too_few(pair)
+        whole = self._blank(correspondences)
+        shown, rows = self._shown(whole, correspondences.lone, correspondences.reason)
+        return pairs.scattered(whole, shown, rows)
+
+    def _shown(self, whole: Extraction, lone: np.ndarray, reason: str):
+        """Return what a pair shows, and the rows of the whole that it made use of."""
+        settings, rows = self._settings, np.flatnonzero(~lone)
+        blank, pair = pairs.only(whole, rows), pairs.pair(whole)
+        reason = reason or pairs.too_few(pair[rows])
         if reason:
-            return replace(blank, reason=reason)
-        if _stands_still(pair, settings.standstill_share):
-            return self._standing(blank)
-        fit, free = self._first_motion(blank, pair)
-        pair, noise = camera_motion.calibrated(pair, fit, self._memory.noise)
+            return replace(blank, reason=reason), rows
+        if pairs.stands_still(pair[rows], settings.standstill_share):
+            return self._standing(blank), rows
+        fit, free = self._first_motion(blank, pair[rows])
+        noise = camera_motion.calibrated(pair[rows], fit, self._memory.noise)
+        pair = replace(pair, sigma=noise * pair.sigma)
         evidence = labeling.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
                                      settings.relief)
-        if evidence.epipolar_inlier.mean() < settings.min_inliers:
-            return replace(blank, reason=_disagreement(evidence))
-        if labeling.turns_only(evidence, settings.epsilon_m):
-            return self._turning(blank, pair, fit.R_cur_from_prev)
-        ratio = self._ratio(blank, pair, evidence, fit)
-        floor = self._ground_prior(blank, fit, ratio)
+        if evidence.epipolar_inlier[rows].mean() < settings.min_inliers:
+            return replace(blank, reason=pairs.disagreement(evidence[rows])), rows
+        if labeling.turns_only(evidence[rows], settings.epsilon_m):
+            return self._turning(blank, pair[rows], fit.R_cur_from_prev), rows
+        ratio = self._ratio(blank, pair[rows], evidence[rows], fit)
+        floor, road = self._survey(whole, pair, evidence, lone, fit, ratio)
+        free = pairs.spread(free, rows, len(whole.x_cur))
+        rows = np.flatnonzero(~lone | road)
+        blank, pair, evidence = pairs.only(whole, rows), pair[rows], evidence[rows]
         found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor,
-                                                  free))
+                                                  free[rows], road[rows]))
         found = self._moving(blank, pair, self._named(found), floor)
-        found = self._refined(pair, found)
+        found = self._refined(pair, found, floor)
         # Anew, by the motion that the next pair will compare with: its error then cancels.
         ratio = self._ratio(blank, pair, found.evidence, found.fit)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
-        return self._finished(blank, pair, found, noise, floor)
+        return self._finished(blank, pair, found, noise, floor), rows
 
     def _blank(self, correspondences: Correspondences) -> Extraction:
         """Return an extraction that knows nothing yet but undistorted pixels.
@@ -181,13 +192,13 @@ class PlaneExtractor:
                               prior.normal * prior.inverse_depth, prior.spread)
 
     def _planes(self, blank, pair, evidence, fit, ratio, prior: GroundPrior,
-                free) -> list[PlaneFit]:
+                free, road: np.ndarray) -> list[PlaneFit]:
         """Find the ground, then known planes, then new ones, among stationary blocks."""
         rng = np.random.default_rng(self._settings.seed)
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
         free = free & _with_depth(evidence)
         found = []
-        floor = ground.find_ground(depths, free, prior, self._rules, rng)
+        floor = ground.find_ground(depths, free, prior, self._rules, rng, road)
         if floor is not None:
             found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
@@ -252,7 +263,18 @@ class PlaneExtractor:
         return self._memory.ground.prior(fit.R_cur_from_prev, fit.t_cur_from_prev, log, sigma,
                                          self._settings.ground_wobble)
 
-    def _refined(self, pair, found: Found) -> Found:
+    def _survey(self, whole, pair, evidence, lone, fit: MotionFit, ratio):
+        """Predict the ground, and tell which lone blocks (N,) bool lie on it."""
+        memory = self._memory
+        depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, whole.x_cur)
+        belief, prior, road = ground.survey(
+            depths, pair.sigma, evidence, lone, self._ground_prior(whole, fit, ratio),
+            memory.height.moved(*memory.log_ratio(whole, ratio)), self._settings.epsilon_h,
+            memory.is_comparable(whole, ratio))
+        self._memory = replace(memory, height=belief)
+        return prior, road
+
+    def _refined(self, pair, found: Found, prior: GroundPrior) -> Found:
         """Re-estimate motion and planes together, (10), and judge the blocks again."""
         settings, fit, planes = self._settings, found.fit, found.planes
         index = np.full(len(pair), -1)
@@ -262,7 +284,9 @@ class PlaneExtractor:
         stationary &= (found.moving.label != Label.MOVING) & ~found.doubtful
         R, t, values, covariance = refinement.reestimate(
             pair[stationary], fit.R_cur_from_prev, fit.t_cur_from_prev,
-            [plane.plane for plane in planes], index[stationary], settings.relief)
+            [plane.plane for plane in planes], index[stationary], settings.relief,
+            expected=[(i, *prior.upright(plane.plane)) for i, plane in enumerate(planes)
+                      if plane.is_ground and plane.member.sum() < settings.min_macroblocks])
         fit = replace(fit, R_cur_from_prev=R, t_cur_from_prev=t, covariance=covariance[:6, :6])
         planes = [replace(plane, plane=value,
                           covariance=covariance[6 + 3 * i:9 + 3 * i, 6 + 3 * i:9 + 3 * i])
@@ -302,15 +326,13 @@ class PlaneExtractor:
         if floor is None:
             track = track.missed(prior)
         else:
-            spread = np.sqrt(floor.plane @ floor.covariance @ floor.plane) / (
-                floor.plane @ floor.plane)
-            track = track.seen(floor.id, floor.plane, spread)
+            track = track.seen(floor.id, floor.plane, floor.covariance)
         evidence, size = found.evidence, (blank.width, blank.height)
         self._memory = Memory(
             blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
             scale.depth_map(*size, blank.x_cur, evidence.rho, _noise(pair, found.fit),
                             found.fit.t_cur_from_prev[2], _with_depth(evidence) & ~found.doubtful),
-            self._memory.planes, doubtful.painted(found.moving))
+            self._memory.planes, doubtful.painted(found.moving), self._memory.height)
 
 
 def _refined_from(pair: two_view.Pair, R, t) -> MotionFit:
@@ -348,19 +370,6 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
-def _pair(blank: Extraction) -> two_view.Pair:
-    """Return the correspondences with their rays."""
-    x_cur, x_prev = blank.x_cur.astype(float), blank.x_prev.astype(float)
-    return two_view.Pair(to_rays(blank.K, x_cur), to_rays(blank.K, x_prev), x_prev,
-                         blank.sigma.astype(float), blank.K)
-
-
-def _too_few(pair) -> str:
-    """Say why a pair cannot be used, or nothing."""
-    n, least = len(pair), camera_motion.MIN_CORRESPONDENCES
-    return '' if n >= least else f'{n} motion vectors, at least {least} are needed'
-
-
 def _with_depth(evidence) -> np.ndarray:
     """Return the mask of stationary blocks whose parallax makes a depth."""
     return (evidence.epipolar_inlier & ~evidence.backward
@@ -370,16 +379,3 @@ def _with_depth(evidence) -> np.ndarray:
 def _noise(pair: two_view.Pair, fit: MotionFit) -> np.ndarray:
     """Return the standard deviation (N,) of the inverse depth of points at infinity."""
     return pair.sigma / epipolar.reach(pair.rays_cur, pair.focal, fit.t_cur_from_prev)
-
-
-def _disagreement(evidence) -> str:
-    """Say how little a motion explains."""
-    share = 100 * evidence.epipolar_inlier.mean()
-    return (f'no camera motion explains more than {share:.0f} % of the motion vectors: '
-            'the picture moves faster than the encoder searches, or movers fill it')
-
-
-def _stands_still(pair: two_view.Pair, share: float) -> bool:
-    """Tell whether so many vectors are zero that the camera must be standing."""
-    moved = (pair.rays_cur[:, :2] - pair.rays_prev[:, :2]) * pair.focal
-    return np.mean(np.hypot(moved[:, 0], moved[:, 1]) < 0.25) >= share

@@ -5,12 +5,13 @@ in the lower picture may be a wrong one. What is known helps: its normal hardly 
 key frame to the next, and next to nothing lies below it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mv_slapse.geometry import plane as plane_geometry
-from mv_slapse.planes import consensus, lattice
+from mv_slapse.planes import consensus, height, lattice
 from mv_slapse.planes.consensus import Depths
 from mv_slapse.planes.extraction import gather, PlaneFit, Rules
+from mv_slapse.planes.height import HeightBelief, RoadBlocks
 import numpy as np
 
 UP_CAM = (0.0, -1.0, 0.0)  # a level camera: optical axes have y down
@@ -20,6 +21,7 @@ DEPENDENCE = 10.0  # blocks of road that tell as much as one: what stands on it 
 MAX_BLUR = 0.07  # standard deviation of a block's depth, as a share of it
 CORRIDOR = 2.5  # camera heights to either side: beyond, kerbs, lawns and drives lie higher
 MIN_DROP = 0.03  # rad below the horizon: nearer to it a block tells nothing of the height
+ALIKE = 0.2  # share of depth by which blocks of one surface below the ground may differ
 LEARNING = 0.1  # share that one key frame has in the learned mounting
 
 
@@ -28,12 +30,13 @@ class Mount:
     """How the camera sits above the ground: mean of its normal in the camera, and spread [rad].
 
     The spread is learned: small for a camera bolted to a car, large for one carried by hand, and
-    never above ``widest``.
+    never above ``widest``. ``courses`` have been learned from; the first ones count most.
     """
 
     direction: tuple[float, float, float] = UP_CAM
     spread: float = 0.07
     widest: float = 0.07
+    courses: int = 0
 
     @property
     def normal(self) -> np.ndarray:
@@ -52,10 +55,12 @@ class Mount:
         measured). One that climbs makes the spread grow, and the ground's own tilt counts.
         """
         off = float(self.normal @ course)
-        mean = self.normal - LEARNING * off * course
+        learning = max(LEARNING, 1 / (self.courses + 2))
+        mean = self.normal - learning * off * course
         mean /= np.linalg.norm(mean)
-        spread = np.sqrt(self.spread**2 + LEARNING * (off**2 - self.spread**2))
-        return Mount(tuple(mean), float(np.clip(spread, least, self.widest)), self.widest)
+        spread = np.sqrt(self.spread**2 + learning * (off**2 - self.spread**2))
+        return Mount(tuple(mean), float(np.clip(spread, least, self.widest)), self.widest,
+                     self.courses + 1)
 
 
 @dataclass(frozen=True)
@@ -94,18 +99,45 @@ class GroundPrior:
         tangential = 1 / (length * self.tilt) ** 2
         return mean, tangential * (np.eye(3) - np.outer(n, n)) + radial * np.outer(n, n)
 
+    def upright(self, plane: np.ndarray):
+        """Return mean (3,) and information (3, 3) of the direction alone of a plane (3,)."""
+        mean, information = replace(self, spread=np.inf).information(plane)
+        return mean, information
+
+    def informed(self, belief: HeightBelief) -> 'GroundPrior':
+        """Return it with the height that many pairs show, where the last ones knew it less.
+
+        One that contradicts them has to outlast them.
+        """
+        spread = float(np.hypot(belief.spread, height.BIAS))
+        if spread > min(self.spread, height.SURE):
+            return self
+        off = belief.log + np.log(self.inverse_depth)
+        if np.isfinite(self.spread) and abs(off) > 3 * np.hypot(self.spread, spread):
+            return self
+        return replace(self, inverse_depth=float(np.exp(-belief.log)), spread=spread)
+
+    def hold(self, depths: Depths, cut: float) -> np.ndarray:
+        """Return which blocks (N,) lie on the ground as far as that is known to."""
+        expected = -depths.rays @ self.normal * self.inverse_depth
+        sigma = np.hypot(depths.sigma, min(self.spread, height.SURE) * expected)
+        return ((np.abs(depths.rho - expected) < cut * sigma)
+                & _sharp(depths, self.normal * self.inverse_depth))
+
 
 @dataclass(frozen=True)
 class GroundTrack:
     """The ground from key frame to key frame, in the units of the last pair's baseline.
 
     ``spread`` is the standard deviation of log(depth); infinite before the ground is found.
+    ``tilt`` is that of the normal [rad].
     """
 
     mount: Mount
     id: int = -1
     plane: np.ndarray | None = None
     spread: float = np.inf
+    tilt: float = 0.0
 
     def prior(self, R, t, ratio: float, ratio_sigma: float, wobble: float) -> GroundPrior:
         """Predict the ground through X_cur = R X_prev + t, |t| = 1 = exp(ratio) old baselines."""
@@ -113,26 +145,77 @@ class GroundTrack:
             return GroundPrior(self.mount.normal, self.mount.spread)
         moved = plane_geometry.transform(self.plane * np.exp(ratio), R, t)
         inverse_depth = np.linalg.norm(moved)
-        expected = moved / inverse_depth / wobble**2 + self.mount.normal / self.mount.spread**2
-        tilt = (1 / wobble**2 + 1 / self.mount.spread**2) ** -0.5
+        own = np.hypot(wobble, self.tilt)
+        expected = moved / inverse_depth / own**2 + self.mount.normal / self.mount.spread**2
+        tilt = (1 / own**2 + 1 / self.mount.spread**2) ** -0.5
         # Suspension and slope change the height by a few per cent between key frames.
         spread = np.sqrt(self.spread**2 + ratio_sigma**2 + HEIGHT_WOBBLE**2)
         return GroundPrior(expected / np.linalg.norm(expected), tilt, inverse_depth, spread)
 
-    def seen(self, id: int, plane: np.ndarray, spread: float) -> 'GroundTrack':
-        """Return the track after the ground was found."""
-        return GroundTrack(self.mount, id, plane, spread)
+    def seen(self, id: int, plane: np.ndarray, covariance: np.ndarray) -> 'GroundTrack':
+        """Return the track after the ground was found, with its covariance (3, 3)."""
+        square = plane @ plane
+        radial = plane @ covariance @ plane / square
+        tilt = np.sqrt(max(np.trace(covariance) - radial, 0) / 2 / square)
+        return GroundTrack(self.mount, id, plane, float(np.sqrt(radial / square)), float(tilt))
 
     def missed(self, prior: GroundPrior) -> 'GroundTrack':
         """Return the track after it was not; in the end it is looked for afresh."""
         if self.plane is None or prior.spread > FORGOTTEN:
             return GroundTrack(self.mount, self.id)
         return GroundTrack(self.mount, self.id, prior.normal * prior.inverse_depth,
-                           np.hypot(prior.spread, 2 * HEIGHT_WOBBLE))
+                           np.hypot(prior.spread, 2 * HEIGHT_WOBBLE), prior.tilt)
+
+
+def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior: GroundPrior,
+           belief: HeightBelief, cut: float, learns: bool):
+    """Learn the height from the blocks before the camera, and tell which lone ones are road.
+
+    Parameters
+    ----------
+    depths : Depths
+        Of all blocks, (N,).
+    sigma : (N,) array
+        Standard deviation of a coordinate [px].
+    evidence : labeling.Evidence
+    lone : (N,) bool array
+        Vectors that no neighbour supports.
+    prior : GroundPrior
+        From the pairs before.
+    belief : HeightBelief
+        From the pairs before, in this baseline.
+    cut : float
+        Largest error of a block on the ground, in standard deviations.
+    learns : bool
+        Whether this pair's vectors can be trusted to mean what they say.
+
+    Returns
+    -------
+    belief, prior : HeightBelief, GroundPrior
+        With what this pair shows.
+    road : (N,) bool array
+        Lone blocks on the ground; none where it is not known.
+    """
+    drop, ahead = corridor(depths.rays, prior.normal)
+    fits = evidence.epipolar_inlier & (depths.rho > 0)
+    shown = fits & ~lone
+    sharp = shown & (depths.sigma < MAX_BLUR * depths.rho)
+    # What is far below sees nothing as near as what it flies over.
+    ceiling = (np.median(1 / depths.rho[sharp]) if sharp.sum() >= height.MIN_DEPTHS
+               else height.MOST)
+    blocks = RoadBlocks(depths[ahead], drop[ahead], evidence.epipolar_error[ahead], sigma[ahead],
+                        evidence.parallax[ahead], lone[ahead])
+    if learns:
+        belief = belief.seen(blocks, prior.tilt, float(np.median(evidence.parallax[shown])),
+                             ceiling)
+    prior = prior.informed(belief)
+    known = prior.spread < height.SURE
+    road = lone & ahead & fits & ~evidence.at_infinity & known
+    return belief, prior, road & prior.hold(depths, cut)
 
 
 def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rules,
-                rng: np.random.Generator) -> PlaneFit | None:
+                rng: np.random.Generator, lone: np.ndarray | bool = False) -> PlaneFit | None:
     """Find the ground among stationary blocks.
 
     Parameters
@@ -142,17 +225,21 @@ def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rul
         Stationary blocks that are not at infinity.
     prior : GroundPrior
         Beyond three standard deviations of it nothing is the ground.
+    lone : (N,) bool array, optional
+        Blocks on a ground that earlier pairs have shown, which need no neighbours.
 
     Returns
     -------
     fit : PlaneFit or None
         None where too few blocks agree, or too many lie below.
     """
-    drop = -depths.rays @ prior.normal
-    aside = np.abs(depths.rays @ _across(prior.normal))
-    below_horizon = free & (drop > MIN_DROP) & (depths.rho > 0) & (aside < CORRIDOR * drop)
+    drop, ahead = corridor(depths.rays, prior.normal)
+    below_horizon = free & ahead & (depths.rho > 0)
     sample = depths[below_horizon]
-    if lattice.count_macroblocks(sample.x) < rules.min_macroblocks:
+    # Where it is known already it need not be found, only seen.
+    known = prior.spread < height.SURE
+    least = rules.min_macroblocks // (4 if known else 1)
+    if lattice.count_macroblocks(sample.x) < least:
         return None
     level = prior.normal * (sample.rho / drop[below_horizon])[:, None]
     level = level[rng.integers(len(level), size=rules.trials)]
@@ -166,17 +253,27 @@ def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rul
         return None
     for _ in range(2):
         sharp = sample[_sharp(sample, plane)]
-        if lattice.count_macroblocks(sharp.x) < rules.min_macroblocks:
+        if lattice.count_macroblocks(sharp.x) < least:
             return None
         mean, information = prior.information(plane)
         plane, covariance = consensus.refine_plane(
             sharp, plane, prior_plane=mean, prior_information=DEPENDENCE * information)
-    member = gather(depths, plane, below_horizon & _sharp(depths, plane), rules)
-    below = np.sum(sample.error(plane) < -rules.cut)
-    if (lattice.count_macroblocks(depths.x[member]) < rules.min_macroblocks
-            or below > member.sum() or prior.distance(plane[None])[0] > 9):
+    sharp = below_horizon & _sharp(depths, plane)
+    member = gather(depths, plane, sharp, rules)
+    member |= lone & sharp & (np.abs(depths.error(plane)) < rules.cut)
+    below = sample[sample.error(plane) < -rules.cut]
+    # What has been pulled to zero, or slid along a marking, lies at all depths.
+    speaks = _most_alike(below.rho / -(below.rays @ plane)) if known else len(below)
+    if (lattice.count_macroblocks(depths.x[member]) < least
+            or speaks > member.sum() or prior.distance(plane[None])[0] > 9):
         return None
     return PlaneFit(plane, covariance, member, is_ground=True)
+
+
+def corridor(rays: np.ndarray, normal: np.ndarray):
+    """Return how far rays (N, 3) fall on the way of one unit, and which may meet the road."""
+    drop = -rays @ normal
+    return drop, (drop > MIN_DROP) & (np.abs(rays @ _across(normal)) < CORRIDOR * drop)
 
 
 def _sharp(depths: Depths, plane: np.ndarray) -> np.ndarray:
@@ -187,6 +284,12 @@ def _sharp(depths: Depths, plane: np.ndarray) -> np.ndarray:
     in the height for 2 degrees, as measured).
     """
     return depths.sigma < MAX_BLUR * np.maximum(-depths.rays @ plane, 1e-9)
+
+
+def _most_alike(values: np.ndarray) -> int:
+    """Return how many positive values (N,) at most differ by less than a share ALIKE."""
+    log = np.sort(np.log(values))
+    return int(np.max(np.searchsorted(log, log + ALIKE) - np.arange(len(log)), initial=0))
 
 
 def _across(normal: np.ndarray) -> np.ndarray:

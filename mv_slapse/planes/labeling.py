@@ -1,6 +1,6 @@
 """What each macroblock says of itself once the camera's motion is known, [MVO] 4.2."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from mv_slapse.geometry import epipolar, two_view
 from mv_slapse.planes.camera_motion import MotionFit
@@ -36,6 +36,10 @@ class Evidence:
     parallax: np.ndarray
     at_infinity: np.ndarray
     backward: np.ndarray
+
+    def __getitem__(self, rows) -> 'Evidence':
+        """Return that of a mask or an index."""
+        return Evidence(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
 def before_camera(rays_cur, rays_prev, focal, R, t) -> np.ndarray:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from mv_slapse.planes import scale
 from mv_slapse.planes.camera_motion import MotionFit
 from mv_slapse.planes.ground import GroundTrack, Mount
+from mv_slapse.planes.height import HeightBelief
 from mv_slapse.planes.known import KnownPlane
 from mv_slapse.records import Extraction
 import numpy as np
@@ -17,7 +18,7 @@ STEADY_SIGMA = 0.15  # of the same, unseen: 1.3 m/s at 30 km/h, a hard brake ove
 class Memory:
     """What the last key frame leaves for the next: motion, depths, ground, planes and movers.
 
-    ``movers`` is the grid of planes.doubtful.painted.
+    ``movers`` is the grid of planes.doubtful.painted; ``height`` is in the last pair's baseline.
     """
 
     stamp: int | None = None
@@ -29,6 +30,7 @@ class Memory:
     depths: scale.DepthMap | None = None
     planes: tuple[KnownPlane, ...] = ()
     movers: np.ndarray | None = None
+    height: HeightBelief = HeightBelief.blank()
 
     def turned(self, stamp: int, R) -> 'Memory':
         """Return it after the camera has turned by R_cur_from_prev on the spot."""
@@ -53,3 +55,11 @@ class Memory:
             return 0.0
         return float(np.log((blank.stamp - blank.previous_stamp)
                             / (self.stamp - self.previous_stamp)))
+
+    def is_comparable(self, blank: Extraction, ratio: scale.BaselineRatio) -> bool:
+        """Tell whether a pair's depths agree with the last one's, as far as there was one.
+
+        If not its vectors may mean other pictures, all of them alike.
+        """
+        return (self.previous_stamp is None or self.stamp != blank.previous_stamp
+                or bool(np.isfinite(ratio.sigma)))

@@ -182,3 +182,42 @@ def test_zero_vectors_count_where_the_camera_stands_or_hardly_moves(evidence):
     x, vector, _ = merging.consensus(evidence, WIDTH, HEIGHT, SETTINGS)
     assert len(x) == len(evidence)
     assert np.any(np.all(vector == 0, axis=1))
+
+
+def segment_of(evidence, n_b=0, references=1):
+    """Return a P frame's segment; its vectors are handed to `average` beside it."""
+    frames = [FrameVectors(stamp=i * 100_000_000, frame_type=kind, width=WIDTH, height=HEIGHT,
+                           references=references)
+              for i, kind in enumerate((FrameType.P, *[FrameType.B] * n_b, FrameType.P))]
+    return Segment(frames[0], frames[-1], tuple(frames[1:-1]), PP)
+
+
+def test_a_vector_that_nothing_supports_is_given_as_a_lone_one():
+    evidence = lattice(linear)
+    wrong = np.zeros(len(evidence), bool)
+    wrong[[33, 55]] = True
+    evidence.vector[wrong] += (25, 14)
+    pair = merging.average(segment_of(evidence), evidence, SETTINGS)
+    assert len(pair) == 80
+    lone = pair.lone
+    np.testing.assert_allclose(pair.x_cur[lone], evidence.x_cur[wrong])
+    np.testing.assert_allclose((pair.x_prev - pair.x_cur)[lone], evidence.vector[wrong], rtol=1e-5)
+    assert pair.sigma[lone].min() > 1.5 * pair.sigma[~lone].max()
+    assert len(pair.supported()) == 78
+    assert not pair.supported().lone.any()
+
+
+@pytest.mark.parametrize(('n_b', 'references', 'share'), [(1, 1, 0.2), (0, 2, 0.2), (0, 1, 0.0)])
+def test_a_lone_vector_over_several_pictures_says_nothing(n_b, references, share):
+    evidence = lattice(linear)
+    evidence.vector[33] += (25, 14)
+    pair = merging.average(segment_of(evidence, n_b, references), evidence,
+                           DecoderSettings(lone_probability=share))
+    assert len(pair) == 79
+    assert not pair.lone.any()
+
+
+def test_a_lone_zero_vector_is_no_evidence():
+    evidence = lattice(lambda x: linear(x) + 9)
+    evidence.vector[33] = 0
+    assert len(merging.average(segment_of(evidence), evidence, SETTINGS)) == 79

@@ -47,7 +47,8 @@ def test_most_correspondences_lie_on_the_true_epipolar_lines(data, sequence, nam
     assert len(pairs) > 25
     assert all(pair.kind is not SegmentKind.BROKEN for pair in pairs)
     assert np.median([len(pair) for pair in pairs]) > 400
-    errors = np.concatenate([distances(pair, poses, sequence) for pair in pairs])
+    errors = np.concatenate([distances(pair.supported(), poses, sequence)
+                             for pair in pairs])
     assert (errors < 1.0).mean() > share
 
 

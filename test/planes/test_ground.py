@@ -4,10 +4,11 @@ from dataclasses import replace
 
 from canyon import CANYON, motion, views
 from mv_slapse.geometry import plane as plane_geometry
-from mv_slapse.planes import ground
+from mv_slapse.planes import ground, height
 from mv_slapse.planes.consensus import Depths
 from mv_slapse.planes.extraction import Rules
 from mv_slapse.planes.ground import GroundPrior, GroundTrack, Mount
+from mv_slapse.planes.labeling import Evidence
 from numeric import jacobian
 import numpy as np
 import pytest
@@ -120,7 +121,7 @@ def test_before_the_ground_is_found_only_the_mounting_is_known():
 
 def test_a_ground_not_seen_is_forgotten_in_the_end():
     R, t = np.eye(3), np.array([0, 0, -1.0])
-    track = GroundTrack(Mount()).seen(4, ROAD, 0.02)
+    track = GroundTrack(Mount()).seen(4, ROAD, 0.02**2 * np.outer(ROAD, ROAD))
     spreads = []
     while track.plane is not None and len(spreads) < 100:
         spreads.append(track.spread)
@@ -129,6 +130,87 @@ def test_a_ground_not_seen_is_forgotten_in_the_end():
     assert np.all(np.diff(spreads) > 0)
     assert track.id == 4
     assert np.isinf(track.spread)
+
+
+def test_the_mount_learns_most_from_the_first_courses():
+    mount, course = Mount(), np.array([0, np.sin(-0.05), np.cos(-0.05)])
+    for _ in range(4):
+        mount = mount.learned(course, 0.01)
+    assert abs(mount.normal @ course) < 0.25 * 0.05
+    assert mount.spread < 0.05
+
+
+def believed(log, spread):
+    """Return a belief of a Gaussian height."""
+    p = np.exp(-0.5 * np.square((height.GRID - log) / spread))
+    return height.HeightBelief(p / p.sum())
+
+
+def test_a_height_from_many_pairs_starts_a_ground():
+    prior = FRESH.informed(believed(np.log(1.3), 0.03))
+    assert prior.inverse_depth == pytest.approx(1 / 1.3, rel=1e-3)
+    assert prior.spread == pytest.approx(np.hypot(0.03, height.BIAS), rel=0.1)
+    assert FRESH.informed(believed(0.0, 0.5)) is FRESH
+
+
+def test_a_ground_that_is_known_better_or_otherwise_is_left_alone():
+    for prior in (GroundPrior(UP, 0.02, 1.0, 0.02), GroundPrior(UP, 0.02, 2.0, 0.15)):
+        assert prior.informed(believed(0.0, 0.05)) is prior
+    loose = GroundPrior(UP, 0.02, 1.1, 0.15).informed(believed(0.0, 0.03))
+    assert loose.inverse_depth == pytest.approx(1, abs=1e-3)
+
+
+def test_upright_informs_of_the_direction_only():
+    prior = GroundPrior(UP, 0.02, 0.5, 0.05)
+    mean, information = prior.upright(0.4 * pitched(0.02))
+    np.testing.assert_allclose(information @ UP, 0, atol=1e-9)
+    assert information[0, 0] == pytest.approx(1 / (0.4 * 0.02) ** 2)
+    np.testing.assert_allclose(mean, 0.4 * UP)
+
+
+def test_a_known_ground_is_seen_in_a_few_lone_blocks(rng):
+    depths, surface, _ = road_depths(rng)
+    few = np.flatnonzero(surface == 0)[::40][-10:]
+    free, prior = np.zeros(len(depths), bool), GroundPrior(UP, 0.02, 1 / 1.6, 0.05)
+    free[few] = True
+    fit = ground.find_ground(depths, free, prior, RULES, rng, free)
+    normal, depth = plane_geometry.to_normal_depth(fit.plane)
+    assert depth == pytest.approx(1.6, rel=0.03)
+    assert ground.find_ground(depths, free, FRESH, RULES, rng, free) is None
+
+
+def surveyed(rng, prior, learns=True, n=40):
+    """Return what `survey` makes of lone blocks, the second half of them wrong."""
+    depths, surface, _ = road_depths(rng)
+    lone = np.zeros(len(depths), bool)
+    lone[rng.choice(np.flatnonzero(surface == 0), n, replace=False)] = True
+    depths = depths[(surface > 0) | lone]
+    lone = lone[(surface > 0) | lone]
+    wrong = np.flatnonzero(lone)[n // 2:]
+    rho = depths.rho.copy()
+    rho[wrong] *= np.exp(rng.uniform(-2, 2, len(wrong)))
+    depths = replace(depths, rho=rho)
+    inlier, parallax = np.ones(len(rho), bool), np.clip(500 * rho, 5, 50)
+    evidence = Evidence(np.zeros(len(rho)), inlier, rho, depths.sigma, parallax, ~inlier, ~inlier)
+    result = ground.survey(depths, np.full(len(rho), 0.3), evidence, lone, prior,
+                           height.HeightBelief.blank(), 3.0, learns)
+    return *result, lone, wrong
+
+
+def test_lone_blocks_on_the_road_are_told_from_wrong_ones(rng):
+    belief, prior, road, lone, wrong = surveyed(rng, replace(FRESH, tilt=0.01))
+    assert belief.log == pytest.approx(np.log(1.6), abs=0.08)
+    assert prior.inverse_depth == pytest.approx(1 / 1.6, rel=0.08)
+    assert not np.any(road & ~lone)
+    assert road[wrong].mean() < 0.3
+    assert (road.sum() - road[wrong].sum()) / 20 > 0.5
+
+
+def test_a_pair_that_cannot_be_trusted_teaches_nothing(rng):
+    belief, prior, road, *_ = surveyed(rng, FRESH, learns=False)
+    assert belief.spread > 1.5
+    assert prior is FRESH
+    assert not road.any()
 
 
 def test_the_road_is_found_exactly_without_noise(rng):

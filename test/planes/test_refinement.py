@@ -89,3 +89,20 @@ def test_planes_sharpen_the_motion(rng):
         P = refinement.reestimate(scene.pair, scene.R, scene.t, planes, index, 0.0)[3]
         errors.append(np.trace(P[:6, :6]))
     assert errors[0] < errors[1]
+
+
+def test_what_is_known_beforehand_of_a_plane_holds_where_its_blocks_say_little(rng):
+    scene = views(*motion('ahead'), rng, sigma=0.3)
+    few = np.flatnonzero(scene.surface == 0)[:3]
+    index = np.where(scene.surface == 0, -1, scene.surface)
+    index[few] = 0
+    information = np.eye(3) * 1e8
+    mean = CANYON[0] * 1.02
+    planes = refinement.reestimate(scene.pair, scene.R, scene.t, CANYON, index, 0.02,
+                                   expected=[(0, mean, information)])[2]
+    np.testing.assert_allclose(planes[0], mean, rtol=1e-2, atol=1e-3)
+    free, P = refinement.reestimate(scene.pair, scene.R, scene.t, CANYON, index, 0.02)[2:]
+    known = refinement.reestimate(scene.pair, scene.R, scene.t, CANYON, index, 0.02,
+                                  expected=[(0, mean, np.zeros((3, 3)))])[2]
+    np.testing.assert_allclose(known, free)
+    assert np.linalg.norm(free[0] - mean) > np.linalg.norm(planes[0] - mean)

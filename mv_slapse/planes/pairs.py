@@ -1,0 +1,58 @@
+"""Correspondences of a key frame pair as the extraction takes them, and which it cannot use."""
+
+from dataclasses import replace
+
+from mv_slapse.geometry import two_view
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.planes import camera_motion
+from mv_slapse.planes.labeling import Evidence
+from mv_slapse.records import Extraction
+import numpy as np
+
+COLUMNS = ('x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')
+
+
+def pair(blank: Extraction) -> two_view.Pair:
+    """Return the correspondences with their rays."""
+    x_cur, x_prev = blank.x_cur.astype(float), blank.x_prev.astype(float)
+    return two_view.Pair(to_rays(blank.K, x_cur), to_rays(blank.K, x_prev), x_prev,
+                         blank.sigma.astype(float), blank.K)
+
+
+def only(whole: Extraction, rows: np.ndarray) -> Extraction:
+    """Return an extraction of some rows."""
+    return replace(whole, **{name: getattr(whole, name)[rows] for name in COLUMNS})
+
+
+def scattered(whole: Extraction, shown: Extraction, rows: np.ndarray) -> Extraction:
+    """Return what some rows show as part of the whole."""
+    columns = {name: getattr(whole, name).copy() for name in COLUMNS}
+    for name, values in columns.items():
+        values[rows] = getattr(shown, name)
+    return replace(shown, **columns)
+
+
+def spread(mask: np.ndarray, rows: np.ndarray, n: int) -> np.ndarray:
+    """Return a mask of some rows as one of n; what is not among them is in it."""
+    whole = np.ones(n, bool)
+    whole[rows] = mask
+    return whole
+
+
+def too_few(pair: two_view.Pair) -> str:
+    """Say why a pair cannot be used, or nothing."""
+    n, least = len(pair), camera_motion.MIN_CORRESPONDENCES
+    return '' if n >= least else f'{n} motion vectors, at least {least} are needed'
+
+
+def disagreement(evidence: Evidence) -> str:
+    """Say how little a motion explains."""
+    share = 100 * evidence.epipolar_inlier.mean()
+    return (f'no camera motion explains more than {share:.0f} % of the motion vectors: '
+            'the picture moves faster than the encoder searches, or movers fill it')
+
+
+def stands_still(pair: two_view.Pair, share: float) -> bool:
+    """Tell whether so many vectors are zero that the camera must be standing."""
+    moved = (pair.rays_cur[:, :2] - pair.rays_prev[:, :2]) * pair.focal
+    return np.mean(np.hypot(moved[:, 0], moved[:, 1]) < 0.25) >= share
