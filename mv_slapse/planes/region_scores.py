@@ -13,14 +13,14 @@ The answers are squared distances less what noise gives.
 from typing import NamedTuple
 
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.geometry.moving_plane import RATE, SLOPE
+from mv_slapse.geometry.moving_plane import COVERED, RATE, SLOPE
 from mv_slapse.planes import lattice
 from mv_slapse.planes.moving import Surfaces
 import numpy as np
 
 BIAS = 0.35  # px that a region's vectors have in common
 LEAST_DROP = 8.0  # px below the horizon from which on a lower edge tells something
-FOOT_SIGMA = 8.0  # px of the lower edge, seen to a block, and of the horizon
+FOOT_SIGMA = 6.0  # px of the lower edge, seen to a block, and of the horizon
 EDGE_SIGMA = 16 / np.sqrt(12)  # px of the lower edge, seen to a block, alone
 FOOT_HEIGHT = 40.0  # px above the lower edge that show how near it is
 GROUND_SIGMA = 0.07  # share of the ground's inverse depth: slope, kerbs
@@ -37,8 +37,10 @@ OUTLIER = 0.05  # density of a wrong vector's depth, to the peak of a right one'
 LEAST_REACH = 28.0  # px below a region in which the ground is looked for
 SHOWN = 0.3  # share of this place that ground covers if it is surely there
 UNSEEN = 8.0  # largest score of what looks below the ground, where that is not seen
-DEPENDENCE = 2.0  # blocks of road below a region that tell as much as one
-STEP = 20.0  # largest part of the score of one pair
+DEPENDENCE = 2.0  # blocks below or above a region that tell as much as one
+BORDER = 16.0  # px of the picture's left and right border: what it cuts may be of any width
+STEP = 12.0  # largest part of the score of one pair,
+BACK = -5.0  # and smallest
 
 
 class Seen(NamedTuple):
@@ -133,7 +135,7 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
     edge = bottom[order[first + np.maximum(size - 2, 0)]]
     lowest = (bottom >= np.repeat(edge, size) - 0.5).astype(float)
     across = np.add.reduceat(x[:, 0] * lowest, first) / np.add.reduceat(lowest, first)
-    foot = np.stack([across, edge], axis=1)
+    foot = np.stack([across, edge - (0.5 - COVERED) * lattice.MACROBLOCK], axis=1)
     rays, area = to_rays(K, foot), np.add.reduceat(block.prod(axis=1), first)
     under = np.zeros(len(first)) if ground is None else -rays @ ground
     drop = np.full(len(first), np.inf)
@@ -182,20 +184,29 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
     distance += below
     at_foot = np.minimum(at_foot, outline.rho)
     # The road's own wrong vectors are short: low or scattered, they are no vehicle.
-    road = (size[:, 1] < LOWEST * drop) | (outline.filled < LEAST_FILLED)
-    distance[np.isfinite(drop) & road] = np.minimum(distance[np.isfinite(drop) & road], 0.0)
+    road = np.isfinite(drop) & (distance > 0)
+    low = road & (size[:, 1] < LOWEST * drop)
+    for i in np.flatnonzero(low):
+        distance[i] = min(distance[i], max(_body_above(outline, i, seen), 0.0))
+    scattered = road & (outline.filled < LEAST_FILLED)
+    distance[scattered] = np.minimum(distance[scattered], 0.0)
     for i in np.flatnonzero(stands & _may_hover(outline)
                             & (at_foot >= LEAST_RATIO * outline.under)):
-        ratio = at_foot[i] / outline.under[i]
-        # Where the ground is seen below it is known: only the edge is not.
-        spread = np.sqrt((EDGE_SIGMA / outline.drop[i])**2 + GROUND_SIGMA**2
-                         + (sigma[i] / at_foot[i])**2 + CLEARANCE**2)
-        hovers = min((np.log(ratio) / spread)**2 - 1, _ground_below(outline, i, ratio, seen))
+        hovers = _hovers(outline, i, at_foot[i], sigma[i], seen)
         # An oncoming car follows the lines of what stands still: that it does tells nothing then.
         distance[i] = hovers + (max(distance[i], 0.0) if hovers > 0 else distance[i])
     # Nothing that a robot could meet ends above the horizon, higher than its camera.
     distance[drop < LEAST_DROP] = np.minimum(distance[drop < LEAST_DROP], 0.0)
-    return np.clip(distance, -5, STEP)
+    return np.clip(distance, BACK, STEP)
+
+
+def _hovers(outline, i, at_foot, sigma, seen):
+    """Return the squared distance of a region from all that stands on the ground."""
+    ratio = at_foot / outline.under[i]
+    # Where the ground is seen below it is known: only the edge is not.
+    spread = np.sqrt((EDGE_SIGMA / outline.drop[i])**2 + GROUND_SIGMA**2
+                     + (sigma / at_foot)**2 + CLEARANCE**2)
+    return min((np.log(ratio) / spread)**2 - 1, _ground_below(outline, i, ratio, seen))
 
 
 def _may_hover(outline):
@@ -232,6 +243,27 @@ def _covariance(fit, rate, size, K):
     covariance[:, range(3), range(3)] += shape[:, None]
     covariance[:, range(2), range(2)] += shift**2
     return covariance + ray[:, :, None] * ray[:, None, :]
+
+
+def _body_above(outline, i, seen):
+    """Return how much rather a region goes on above than the ground does, as chi-square.
+
+    Of a car ahead only the lower part looks farther than the ground. What is above it shows the
+    same depth; above a patch of wrong vectors on the road the road shows its own. A bank beyond a
+    ditch shows one depth, too, but it does not end within the picture.
+    """
+    first, last = np.min(seen.x[:, 0]), np.max(seen.x[:, 0])
+    if outline.low[i, 0] < first + BORDER or outline.high[i, 0] > last - BORDER:
+        return 0.0
+    across = np.abs(seen.x[:, 0] - outline.foot[i, 0]) < 0.5 * outline.size[i, 0]
+    above = seen.x[:, 1] < outline.low[i, 1] - lattice.MACROBLOCK / 2
+    highest = outline.foot[i, 1] - TALLEST * outline.drop[i]
+    at = np.flatnonzero(across & above & (seen.x[:, 1] > highest) & (seen.under > 0))
+    under, near = seen.under[at], outline.rho[i]
+    sigma = np.hypot(seen.sigma[at], GROUND_SIGMA * np.maximum(under, near))
+    ground, region = (np.log(np.exp(-0.5 * ((seen.rho[at] - rho) / sigma)**2) + OUTLIER)
+                      for rho in (under, near))
+    return 2 * float(np.sum(region - ground)) / DEPENDENCE
 
 
 def _ground_below(outline, i, ratio, seen):

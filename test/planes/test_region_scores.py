@@ -16,14 +16,15 @@ FIRST_ROW = 180.0
 
 
 def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), ground=GROUND,
-          keep=1.0, t=T, below='ground'):
+          keep=1.0, t=T, below='ground', above=None):
     """Return the score of an upright face at a depth that moves by ``motion`` in the pair.
 
     Blocks below it show the ``ground``, the ``face``'s own depth, ``terrain`` that goes on as
-    the face's foot lies, or ``nothing``.
+    the face's foot lies, or ``nothing``; those ``above`` it the 'ground' or the 'face'.
     """
     corner = [to_pixels(K, np.array([[*c, depth]]))[0] for c in (low, high)]
-    x = GRID[np.all((corner[0] < GRID) & (corner[1] > GRID), axis=1)]
+    # A block is the face's from a tenth of its height on.
+    x = GRID[np.all((corner[0] < GRID) & (corner[1] + (0.0, 6.4) > GRID), axis=1)]
     x = x[np.random.default_rng(0).uniform(size=len(x)) < keep] if keep < 1 else x
     X = to_rays(K, x) * depth
     x_prev = to_pixels(K, X - np.array(motion) - t)
@@ -34,7 +35,11 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     blocks = Blocks(x, np.full(x.shape, 16.0), rho, np.zeros(1, int))
     outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]))
     fit = fit_surfaces(regions, K, np.eye(3), GROUND)
-    return scores(fit, outline, K, t, seen_below(outline, rho.mean(), below, ground))[0]
+    seen = seen_below(outline, rho.mean(), below, ground)
+    if above is not None:
+        seen = Seen(*map(np.concatenate, zip(
+            seen, seen_above(outline, rho.mean(), above, ground), strict=True)))
+    return scores(fit, outline, K, t, seen)[0]
 
 
 def seen_below(outline, rho, below, ground):
@@ -45,6 +50,14 @@ def seen_below(outline, rho, below, ground):
              'terrain': under * rho / max(outline.under[0], 1e-9)}[below]
     kept = slice(None, 0 if below == 'nothing' else None)
     return Seen(x[kept], shown[kept], np.full(len(x), 0.002)[kept], under[kept])
+
+
+def seen_above(outline, rho, above, ground):
+    """Return the blocks between the horizon and the top of a face with an inverse depth."""
+    x = GRID[(GRID[:, 1] > FIRST_ROW) & (GRID[:, 1] < outline.low[0, 1])]
+    under = -to_rays(K, x) @ ground
+    shown = under if above == 'ground' else np.full(len(x), rho)
+    return Seen(x, shown, np.full(len(x), 0.002), under)
 
 
 @pytest.mark.parametrize('depth', [8.0, 14.0, 20.0])
@@ -94,6 +107,17 @@ def test_what_ends_above_the_horizon_scores_nothing():
 
 def test_what_is_flat_on_the_road_scores_nothing():
     assert score(8.0, (0, 0, 1.0), (-3.0, 1.1), (3.0, HEIGHT)) <= 0
+
+
+def test_the_low_part_of_a_car_ahead_scores_where_the_car_goes_on_above_it():
+    part = {'depth': 8.0, 'motion': (0, 0, 1.0), 'low': (-1.0, 1.1)}
+    assert score(**part, above='face') > 10
+    assert score(**part, above='ground') <= 0
+
+
+def test_a_low_bank_that_the_border_cuts_is_no_car():
+    bank = {'depth': 8.0, 'motion': (0, 0, 1.0), 'low': (4.0, 1.1), 'high': (9.0, HEIGHT)}
+    assert score(**bank, above='face') <= 0
 
 
 def test_scattered_blocks_are_no_vehicle():
