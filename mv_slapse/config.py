@@ -105,8 +105,8 @@ class ExtractionSettings(Checked):
         'region is called moving: no pair tells more than 12, so that two agree', 1.0)
     max_planes: int = setting(8, '-', 'most stationary planes of a key frame', 1, 64)
     max_uncertainty: float = setting(
-        0.12, '-', 'standard deviation of a plane n / d, as a share of it, beyond which it is '
-        'dropped', 0.001, 1.0)
+        0.055, '-', 'standard deviation of a plane n / d, as a share of it, at which it is '
+        'reported: 3 deg, or 5.5 % of its depth', 0.001, 1.0)
     relief: float = setting(
         0.03, '-', 'depth of a surface about its plane, as a share of depth: a facade 10 m off '
         'has windows and hedges of 0.3 m', 0.0, 1.0)

@@ -2,7 +2,8 @@
 
 In place of four-point homographies, the planes that windows of the lattice propose are chosen
 one after another by the blocks that each explains and none before it does; a plane is reported
-once a second pair shows it where the first one let it be expected. Chance planes do not return.
+once other pairs show it where the first one let it be expected, and it is well known by then.
+Chance planes do not return, or stay vague.
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ MAX_BLUR = 0.06  # a block's depth, as a share: at 3 sigma 0.18, and set-backs d
 ROUGHNESS = 0.01  # relief within a window, as a share of depth: frames and sills of windows
 DENSITY = 0.6  # share of a plane's blocks among those in its outline; less is vegetation
 CONFIRMED = 2  # pairs that show a plane before it is reported
+VAGUE = 0.35  # uncertainty, as a share, beyond which a plane cannot be told from the next pair's
 FADING = 0.7  # share of the smallest plane at which a known one is still seen
 
 
@@ -116,7 +118,8 @@ def stationary_planes(depths: Depths, free: np.ndarray, known: Sequence[KnownPla
     ids = itertools.count(next_id)
     fits, after = [], []
     for track, plane, covariance, part in chosen:
-        if track.id < 0 and track.seen >= CONFIRMED:
+        if track.id < 0 and track.seen >= CONFIRMED and (
+                track.spread < blocks.rules.max_uncertainty):
             track = replace(track, id=next(ids))
         after.append(track)
         if track.id >= 0:
@@ -235,7 +238,7 @@ def _is_plane(blocks: Blocks, part, track: KnownPlane, before: KnownPlane | None
     """Tell whether what remains of a plane is one: large, dense and well known."""
     least = blocks.rules.min_macroblocks * (1.0 if before is None else FADING)
     return (lattice.count_macroblocks(blocks.depths.x[part]) >= least
-            and track.spread < blocks.rules.max_uncertainty
+            and track.spread < VAGUE
             and _density(blocks.depths.x, part) >= DENSITY)
 
 

@@ -65,5 +65,5 @@ class KnownPlane:
 
     def unseen(self) -> 'KnownPlane | None':
         """Return it after a pair that does not show it; None where it is given up."""
-        lost = self.id < 0 or self.missed >= PATIENCE
+        lost = self.seen < 2 or self.missed >= PATIENCE
         return None if lost else replace(self, missed=self.missed + 1)

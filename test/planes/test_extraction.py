@@ -1,5 +1,7 @@
 """Stationary planes: a house before the next one, seen twice."""
 
+from dataclasses import replace
+
 from mv_slapse.planes import extraction
 from mv_slapse.planes.extraction import Rules
 import numpy as np
@@ -47,6 +49,18 @@ def test_one_pair_confirms_nothing(rng):
     assert fits == []
     assert len(known) >= 2
     assert all(plane.id == -1 and plane.seen == 1 for plane in known)
+
+
+def test_a_plane_is_reported_once_it_is_well_known(rng):
+    known, reported = (), False
+    strict = replace(RULES, max_uncertainty=0.05)
+    for _ in range(8):
+        fits, known = find(walls(rng)[0], known, rules=strict)
+        named = {fit.id for fit in fits}
+        for plane in known:
+            assert plane.id in named or plane.missed or plane.seen < 2 or plane.spread >= 0.05
+        reported |= bool(fits)
+    assert reported
 
 
 def test_names_begin_at_the_next_id_and_last(rng):

@@ -59,9 +59,9 @@ def test_the_same_plane_lies_within_the_gate(sigmas, is_near):
     assert known.is_near(away, np.eye(3) * 1e-4) == is_near
 
 
-def test_a_confirmed_plane_is_waited_for_and_another_is_not():
+def test_a_plane_seen_twice_is_waited_for_and_another_is_not():
     assert KnownPlane(PLANE, np.eye(3)).unseen() is None
-    known = KnownPlane(PLANE, np.eye(3), id=0)
+    known = KnownPlane(PLANE, np.eye(3), seen=2)
     for _ in range(PATIENCE):
         known = known.unseen()
     assert known.missed == PATIENCE
