@@ -35,7 +35,8 @@ class DecoderSettings(Checked):
     """From packets to correspondences, [SLAPSE] III and V-A."""
 
     match_probability: float = setting(
-        0.6, '-', 'probability p that one motion vector is right, [SLAPSE] III-B', 0.01, 0.999)
+        0.6, '-', 'probability p that one motion vector is right, [SLAPSE] III-B, before the '
+        'stream has shown its own', 0.01, 0.999)
     vector_sigma: float = setting(
         0.25, 'px', 'standard deviation of a right vector, (2) of [SLAPSE]', 0.01, 10.0)
     paper_weights: bool = setting(

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 from mv_slapse.codec.bridging import can_bridge, search
 from mv_slapse.codec.chaining import Chainer
-from mv_slapse.codec.evidence import halves
+from mv_slapse.codec.evidence import collect, halves
 from mv_slapse.codec.frames import FrameDecoder
-from mv_slapse.codec.merging import average, merge
+from mv_slapse.codec.merging import average, match_probability, merge
 from mv_slapse.codec.motion_vectors import FrameVectors
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.prior import MotionPrior
@@ -15,6 +15,9 @@ from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Correspondences, SegmentKind
 import numpy as np
+
+LEARNING = 0.1  # share of the newest segment in p: what ten segments tell is not of one picture
+RIGHT = 0.05, 0.99  # bounds of p, where Lemma 2 still has a value
 
 
 class CorrespondenceDecoder:
@@ -55,6 +58,8 @@ class CorrespondenceDecoder:
     def _merged(self, segment: Segment) -> list[Correspondences]:
         """Merge a segment, in two parts where its motion is too long for direct vectors."""
         whole = merge(segment, self._settings, self._expect)
+        self._learn(match_probability(collect(segment, self._settings), whole,
+                                      self._settings))
         flow = np.hypot(*(whole.x_prev - whole.x_cur).T)
         if not segment.between or len(flow) and np.median(flow) < self._settings.split_flow:
             return [whole]
@@ -64,6 +69,13 @@ class CorrespondenceDecoder:
         shorter = min(len(part.supported()) for part in parts)
         good = shorter >= self._settings.split_share * len(whole)
         return parts if good else [whole]
+
+    def _learn(self, p: float):
+        """Take in how many vectors of a segment were right; the next segment counts with it."""
+        if np.isfinite(p):
+            before = self._settings.match_probability
+            p = float(np.clip(before + LEARNING * (p - before), *RIGHT))
+            self._settings = replace(self._settings, match_probability=p)
 
     def _bridged(self, segment: Segment) -> Correspondences:
         """Search an I frame's macroblocks in the picture before it, or call the pair broken."""

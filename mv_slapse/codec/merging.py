@@ -4,7 +4,7 @@ from math import comb, sqrt
 from typing import NamedTuple
 
 from mv_slapse.codec.evidence import collect, Evidence, is_ambiguous, of_one_interval
-from mv_slapse.codec.prior import MotionPrior
+from mv_slapse.codec.prior import at, MotionPrior
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
 from mv_slapse.records import Correspondences, SegmentKind
@@ -101,6 +101,28 @@ def average(segment: Segment, evidence: Evidence, settings: DecoderSettings,
         sigma=settings.vector_sigma * np.sqrt(variance),
         probability=np.where(lone, settings.lone_probability * chance, chance).astype(np.float32),
         block=np.full((len(x), 2), MACROBLOCK, np.uint8))
+
+
+def match_probability(evidence: Evidence, merged: Correspondences,
+                      settings: DecoderSettings) -> float:
+    """Return the share of a segment's vectors that the merged ones bear out, p of [SLAPSE] III-B.
+
+    Of direct vectors where there are any; indirect evidence is right where both its vectors are,
+    with p^2. A vector in a macroblock without a supported one counts as wrong. NaN without any.
+    """
+    supported, direct = merged.supported(), evidence.variance < 2
+    rows = direct if direct.any() else ~direct
+    if not rows.any():
+        return float('nan')
+    shape = -(-merged.height // MACROBLOCK), -(-merged.width // MACROBLOCK)
+    field = np.full((*shape, 2), ABSENT, np.float32)
+    column, row = np.floor((supported.x_cur + np.float32(0.5)) / MACROBLOCK).astype(np.intp).T
+    field[row, column] = supported.x_prev - supported.x_cur
+    vector = evidence.vector[rows]
+    gap = _square_gap(vector, at(field, evidence.x_cur[rows]))
+    area = evidence.block[rows].astype(np.float32).prod(axis=1)
+    right = float(area @ (gap < _limit(vector, settings, 0.25) ** 2) / area.sum())
+    return right if direct.any() else sqrt(right)
 
 
 def consensus(evidence: Evidence, width: int, height: int, settings: DecoderSettings,

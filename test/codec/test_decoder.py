@@ -110,3 +110,12 @@ def test_still_pictures_give_zero_vectors_at_a_bounded_interval(rng):
     pairs = decoded(encode(still, 30, LOW_LATENCY), DecoderSettings())
     assert max(pair.stamp - pair.previous_stamp for pair in pairs) <= 250_000_000
     assert all(np.median(np.abs(pair.x_prev - pair.x_cur)) < 0.01 for pair in pairs)
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_the_probability_of_a_vector_follows_the_stream(rng, encoding):
+    pairs = decoded(packets(rng, encoding, 40), replace(EACH, lone_probability=0.0,
+                                                        match_probability=0.1))
+    first, last = pairs[0].probability.mean(), pairs[-1].probability.mean()
+    assert last > first
+    assert last > 0.7

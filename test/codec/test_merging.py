@@ -221,3 +221,16 @@ def test_a_lone_zero_vector_is_no_evidence():
     evidence = lattice(lambda x: linear(x) + 9)
     evidence.vector[33] = 0
     assert len(merging.average(segment_of(evidence), evidence, SETTINGS)) == 79
+
+
+@pytest.mark.parametrize('share', [0.05, 0.15])
+@pytest.mark.parametrize('kind', [PP, PI])
+def test_the_share_of_right_vectors_is_measured(rng, share, kind):
+    """Wrong ones stand alone; indirect evidence is right where both its vectors are, p^2."""
+    evidence = lattice(linear, 1.0 if kind is PP else 2.0)
+    wrong = rng.choice(len(evidence), round(share * len(evidence)), replace=False)
+    evidence.vector[wrong] += rng.uniform(-20, 20, (len(wrong), 2)).astype(np.float32) + 30
+    expected = 1 - share if kind is PP else (1 - share) ** 0.5
+    merged = merging.average(segment_of(evidence), evidence, SETTINGS)
+    assert merging.match_probability(evidence, merged, SETTINGS) == pytest.approx(
+        expected, abs=0.06)
