@@ -204,7 +204,7 @@ def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior:
     ceiling = (np.median(1 / depths.rho[sharp]) if sharp.sum() >= height.MIN_DEPTHS
                else height.MOST)
     blocks = RoadBlocks(depths[ahead], drop[ahead], evidence.epipolar_error[ahead], sigma[ahead],
-                        evidence.parallax[ahead], lone[ahead])
+                        evidence.parallax[ahead])
     if learns:
         belief = belief.seen(blocks, prior.tilt, float(np.median(evidence.parallax[shown])),
                              ceiling)

@@ -23,8 +23,8 @@ LEAST_PARALLAX = 4.0  # px: shorter vectors may have been pulled to zero
 GATE = 2.0  # sigma of the epipolar error of a block that may be right
 ISOTROPY = 0.25  # of log(length): width by which the lengths of wrong vectors are smoothed
 RIGHT = (0.03, 0.6)  # least and largest share of right vectors that a pair is believed to hold
-COMPANY = 3.0  # vectors that neighbours support err together: so many tell as much as one,
-ALONE = 1.5  # and of those that none supports
+APART = 48.0  # px, three macroblocks: what lies nearer to each other errs together,
+SITES = 2.0  # and so many places tell as much as one
 MIN_DEPTHS = 10  # sharp blocks that tell how far the scene is
 
 
@@ -43,8 +43,6 @@ class RoadBlocks:
         Standard deviation of a coordinate [px].
     parallax : (N,) array
         Length of the motion that no rotation explains [px].
-    lone : (N,) bool array
-        Vectors that no neighbour supports.
     """
 
     depths: Depths
@@ -52,7 +50,6 @@ class RoadBlocks:
     error: np.ndarray
     sigma: np.ndarray
     parallax: np.ndarray
-    lone: np.ndarray
 
     def possible(self, least: float) -> np.ndarray:
         """Return the blocks (N,) that may show the ground: they move by ``least`` px or more."""
@@ -73,6 +70,15 @@ class RoadBlocks:
         # One more of any length, over the six units that lengths have.
         total = passing.sum()
         return (near @ passing + 1 / 6) / (total + 1), total / max(possible.sum(), 1)
+
+    def around(self, possible: np.ndarray) -> np.ndarray:
+        """Return how many of the possible blocks lie about each, itself among them.
+
+        An encoder goes on with the last vector over smooth ground: what lies together tells as
+        much as one.
+        """
+        x = self.depths.x[possible]
+        return np.sum(np.all(np.abs(x[:, None] - x) < APART, axis=2), axis=1)
 
 
 @dataclass(frozen=True)
@@ -133,7 +139,7 @@ class HeightBelief:
         density = np.exp(-0.5 * np.square(error)) * expected / (np.sqrt(2 * np.pi) * sigma)
         gain = np.log(1 - right + right * density / stray[:, None])
         gain[sigma > BLURRED * expected] = 0
-        share = np.where(blocks.lone[possible], 1 / ALONE, 1 / COMPANY)
+        share = 1 / (SITES * blocks.around(possible))
         log = np.where(np.log(ceiling) > GRID, share @ gain + np.log(self.probability), -np.inf)
         if not np.any(np.isfinite(log)):
             return HeightBelief.blank()
