@@ -31,6 +31,19 @@ def overlap(x: np.ndarray, other: np.ndarray) -> float:
     return len(a & b) / max(min(len(a), len(b)), 1)
 
 
+def box_overlap(a: np.ndarray, b: np.ndarray) -> float:
+    """Return intersection over union of two boxes (4,) as of Detection.box, known to a block.
+
+    Edges that differ by half a block or less are the same.
+    """
+    edges, other = np.r_[a[:2], a[:2] + a[2:]], np.r_[b[:2], b[:2] + b[2:]]
+    apart = other - edges
+    other = edges + np.sign(apart) * np.maximum(np.abs(apart) - MACROBLOCK / 2, 0.0)
+    areas = [np.prod(np.maximum(e[2:] - e[:2], 0.0)) for e in (
+        edges, other, np.r_[np.maximum(edges, other)[:2], np.minimum(edges, other)[2:]])]
+    return float(areas[2] / max(areas[0] + areas[1] - areas[2], 1e-9))
+
+
 def _cells(x):
     return set(map(tuple, (np.floor(x / MACROBLOCK)).astype(int).tolist()))
 

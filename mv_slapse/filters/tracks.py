@@ -97,6 +97,7 @@ class Track:
                settings: ObstacleSettings):
         """Correct the state by a detection, (16), and keep what it says of the motion."""
         distance, dof = association.squared_distance(self.mu, self.P, detection)
+        shared = association.box_overlap(self.box(view), clipped(detection.box, view))
         excess = max(1.0, distance / ekf.chi2_bound(settings.gate, dof))
         if excess > 1 and self._disagreed(settings):
             # Twice is no accident: it is the state that is wrong, not the detection.
@@ -114,7 +115,7 @@ class Track:
         self.plane_id, self.x, self.block = detection.id, detection.x, detection.block
         if detection.has_depth:
             self.scale_prior, self.edge = detection.scale_prior, detection.edge
-        self.witness(extraction, view, distance, dof)
+        self.witness(extraction, view, distance, dof, shared)
 
     def contains(self, part: 'Detection | Track', view: View, gate: float) -> bool:
         """Return whether a detection, or another track, is a part of this obstacle."""
@@ -159,14 +160,15 @@ class Track:
         R[2, 2] = (BOUNDARY_SIGMA**2 + moved**2 / 12) / edge.drop**2
         return replace(detection, z=z, R=R)
 
-    def witness(self, extraction: Extraction, view: View, nis: float, dof: int):
+    def witness(self, extraction: Extraction, view: View, nis: float, dof: int,
+                overlap: float = 1.0):
         """Keep what the newest detection says, for plane management."""
         self.last_seen = extraction.stamp
         statistic = om.moving_statistic(self.mu, self.P, view.scene_velocity,
                                         view.scene_covariance)
         speed = float(np.linalg.norm(self.motion(view).velocity))
         self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic, nis,
-                                      dof, speed))
+                                      dof, speed, overlap))
         self.evidence = within(self.evidence, KEPT_EVIDENCE)
 
     def height(self, view: View) -> float:
@@ -184,9 +186,7 @@ class Track:
 
     def box(self, view: View) -> np.ndarray:
         """Return the box (4,) clipped to the picture [px]; no size where it is outside."""
-        box = box_of(self.x, self.block)
-        low = np.clip(box[:2], 0, view.size)
-        return np.r_[low, np.clip(box[:2] + box[2:], 0, view.size) - low]
+        return clipped(box_of(self.x, self.block), view)
 
     def time_to_contact(self) -> tuple[float, float]:
         """Return the time until the seen surface reaches the camera's plane, and its variance.
@@ -276,6 +276,12 @@ def start(detection: Detection, extraction: Extraction, view: View, track_id: in
                   detection.edge, detection.scale_prior, extraction.stamp, extraction.stamp)
     track.witness(extraction, view, 0.0, 0)
     return track
+
+
+def clipped(box: np.ndarray, view: View) -> np.ndarray:
+    """Return the part of a box (4,) that lies in the picture [px]; no size where none does."""
+    low = np.clip(box[:2], 0, view.size)
+    return np.r_[low, np.clip(box[:2] + box[2:], 0, view.size) - low]
 
 
 def _correlated(R, dt, settings):

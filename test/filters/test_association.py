@@ -153,3 +153,12 @@ def test_what_is_new_joins_an_obstacle_only_where_that_is_expected():
     rear, side = detection(1, 10), detection(2, 13, across=3)
     assert ids([rear, side], {1: rear.box}) == [[1], [2]]
     assert ids([rear, side], {1: rear.box + [0, 0, 32, 0]}) == [[1, 2]]
+
+
+def test_boxes_that_differ_by_half_a_block_are_the_same():
+    box = np.array([100.0, 50.0, 64.0, 32.0])
+    assert association.box_overlap(box, box) == 1.0
+    assert association.box_overlap(box, box + (8.0, -8.0, -8.0, 12.0)) == 1.0
+    assert association.box_overlap(box, box + (0.0, 0.0, 40.0, 0.0)) == pytest.approx(64 / 96)
+    assert association.box_overlap(box, box + (72.0, 0.0, 0.0, 0.0)) == 0.0
+    assert association.box_overlap(box, box + (40.0, 0.0, 0.0, 0.0)) == pytest.approx(32 / 96)

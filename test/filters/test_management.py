@@ -11,9 +11,10 @@ SETTINGS = ObstacleSettings()
 PAIR = 100_000_000  # ns
 
 
-def evidence(statistics, nis=5.0, speed=5.0, pair=PAIR):
-    return [Evidence(i * pair, (i + 1) * pair, statistic, nis, 6, speed)
-            for i, statistic in enumerate(statistics)]
+def evidence(statistics, nis=1.5, speed=5.0, pair=PAIR, overlap=0.9):
+    """Return evidence of successive pairs; the first one starts the track."""
+    return [Evidence(i * pair, (i + 1) * pair, statistic, nis * (i > 0), 6 * (i > 0), speed,
+                     overlap) for i, statistic in enumerate(statistics)]
 
 
 def test_steady_motion_confirms():
@@ -25,11 +26,38 @@ def test_steady_motion_confirms():
     (evidence([50] * 5, pair=PAIR // 10), 'too short'),
     (evidence([3] * 6), 'velocity may be zero'),
     (evidence([50, 50, 50, 3]), 'the newest pair shows none'),
-    (evidence([50] * 4, nis=12), 'detections do not move as the vectors say'),
+    (evidence([50] * 4, nis=30), 'detections do not move as the vectors say'),
+    (evidence([50] * 4, overlap=0.5), 'the outline is another one each time'),
     (evidence([50] * 4, speed=0.1), 'too slow'),
     ([], 'nothing')], ids=lambda x: x if isinstance(x, str) else '')
 def test_less_does_not_confirm(case, why):
     assert not management.confirms(case, True, SETTINGS)
+
+
+def test_an_outline_that_lasts_makes_up_for_what_its_vectors_say():
+    beside = evidence([50] * 8, nis=15, overlap=0.95)
+    assert not management.confirms(beside[:3], True, SETTINGS)
+    assert management.confirms(beside, True, SETTINGS)
+
+
+def test_a_bad_beginning_is_forgotten():
+    good = evidence([50] * 4)
+    bad = [item._replace(nis=90.0, overlap=0.1) for item in good[1:]]
+    later = [item._replace(start=item.start + 3 * PAIR, stamp=item.stamp + 3 * PAIR)
+             for item in good[1:]]
+    assert management.one_body(bad) == 0
+    assert management.one_body([*bad, *later]) == management.one_body(later) > 0
+
+
+def test_what_two_short_pairs_show_counts_as_one_of_their_time():
+    short = evidence([50] * 3, pair=PAIR // 2)
+    assert management.one_body(short) == pytest.approx(management.one_body(evidence([50] * 2)))
+
+
+def test_where_tracks_come_to_nothing_more_is_asked_for():
+    for false_starts, n in ((0.0, 2), (0.7, 2), (4.0, 3), (200.0, 4)):
+        assert management.confirms(evidence([50] * n), True, SETTINGS, false_starts)
+        assert not management.confirms(evidence([50] * (n - 1)), True, SETTINGS, false_starts)
 
 
 def test_unknown_scale_has_no_least_speed():
@@ -37,7 +65,7 @@ def test_unknown_scale_has_no_least_speed():
 
 
 def test_old_evidence_does_not_confirm():
-    late = [*evidence([50]), Evidence(20 * PAIR, 21 * PAIR, 50, 5, 6, 5)]
+    late = [*evidence([50]), Evidence(20 * PAIR, 21 * PAIR, 50, 1, 6, 5)]
     assert not management.confirms(late, True, SETTINGS)
 
 

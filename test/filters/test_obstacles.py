@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from drawn_movers import Drive, DT, Mover, nanoseconds
 from mv_slapse.config import ObstacleSettings
+from mv_slapse.filters import obstacles as obstacles_module
 from mv_slapse.filters.obstacles import ObstacleTracker
 from mv_slapse.records import (
     Extraction,
@@ -135,6 +136,22 @@ def test_a_stopped_car_whose_labels_turn_stationary_is_handed_over(rng):
         handed += [(now, h) for h in tracker.step(extraction, drive.scene(now - DT, now))[1]]
     assert [h.id for _, h in handed] == [1]
     assert 1.7 < handed[0][0] < 2.2
+
+
+def test_tracks_that_come_to_nothing_are_counted(rng, monkeypatch):
+    rates, confirms = [], obstacles_module.management.confirms
+
+    def noted(evidence, is_metric, settings, false_starts):
+        rates.append(false_starts)
+        return confirms(evidence, is_metric, settings, false_starts)
+    monkeypatch.setattr(obstacles_module.management, 'confirms', noted)
+    tracker = ObstacleTracker(SETTINGS)
+    for i in range(60):
+        drive = Drive((Mover(i + 1, (3.0 * (-1)**i, rng.uniform(8.0, 30.0)), (0, 10)),))
+        tracker.step(drive.extraction(i * DT, (i + 1) * DT, rng),
+                     drive.scene(i * DT, (i + 1) * DT, rng))
+    assert rates[0] == 0
+    assert obstacles_module.management.USUAL_STARTS < rates[-1] < 1 / DT
 
 
 def test_a_parked_car_that_starts_is_confirmed_within_a_second(rng):
