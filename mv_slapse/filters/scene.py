@@ -14,7 +14,7 @@ from mv_slapse.filters import (
     scene_state,
     scene_update,
 )
-from mv_slapse.filters.scene_noise import Dependence, HeightWander
+from mv_slapse.filters.scene_noise import Agreement, Dependence, HeightWander
 from mv_slapse.filters.scene_observations import Observe
 from mv_slapse.filters.scene_progress import Progress
 from mv_slapse.filters.scene_state import AnchoredPlane, Pose, SceneState
@@ -41,6 +41,7 @@ SCALELESS = ('no known plane is in view: the direction of the way is observed, i
              'predicted')
 CONTRADICTED = 'all known planes in view contradict the map'
 FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
+PAIR_HEIGHT = 1e-3  # share of the height by which a pair errs besides: crown and ruts
 FIRST_HEIGHT_SIGMA = 0.1  # of the ground's depth in the one pair that makes the scale metric
 
 
@@ -51,8 +52,8 @@ class SceneFilter:
     ----------
     distances : dict of float
         Squared Mahalanobis distance of each known plane that the last pair showed from its
-        prediction, by its id: chi-square with 3 degrees of freedom where the filter is
-        consistent.
+        prediction, by its id, over the running mean of such (see scene_noise.Agreement):
+        chi-square with 3 degrees of freedom where the filter is consistent.
     """
 
     def __init__(self, settings: SceneSettings):
@@ -62,7 +63,7 @@ class SceneFilter:
         self._progress = Progress(0)
         self._map = scene_map.SceneMap()
         self.distances: dict[int, float] = {}
-        self._height = HeightWander()
+        self._height, self._agreement = HeightWander(), Agreement()
         self._dependence = Dependence(settings.dependence)
 
     def step(self, extraction: Extraction, handovers: Sequence[PlaneHandover] = ()):
@@ -92,6 +93,7 @@ class SceneFilter:
     def _begin(self, extraction: Extraction):
         """Put {W} at the first key frame."""
         self._state = scene_state.start(UP_CAM, FREE_SIGMA, 1.0, 0.07)
+        self._sway(np.inf)
         self._progress = Progress(extraction.previous_stamp)
 
     def _advance(self, extraction: Extraction):
@@ -170,6 +172,7 @@ class SceneFilter:
         # Between two key frames a start is no random walk.
         density *= START if self._progress.rested else 1.0
         scene_state.propagate(state, dt, density, settings.angular_acceleration)
+        self._sway(dt)
         ground = self._map.ground
         if ground in state.planes:
             # The road bends below the vehicle, so about its place; a vehicle's camera rides some
@@ -178,6 +181,12 @@ class SceneFilter:
             height = 1 / np.linalg.norm(state.planes[ground].plane)
             metres = speed * dt * (1.0 if self._progress.metric else 1.5 / height)
             scene_state.bend(state, ground, settings.ground_slope * np.sqrt(metres))
+
+    def _sway(self, dt: float):
+        """Let the camera's height above the road swing for dt [s]."""
+        settings = self._settings
+        scene_state.sway(self._state, dt, settings.camera_height_sigma,
+                         settings.camera_height_time)
 
     def _unsupported(self, stamp: int, reason: str):
         """Judge a pose that is predicted only."""
@@ -193,8 +202,7 @@ class SceneFilter:
         settings = self._measured(pair, extraction)
         shown = self._shown(extraction, baseline)
         expected = replace(self._state, current=shown) if self._progress.rested else self._state
-        self.distances = scene_gate.distances(expected, extraction, settings)
-        known = {id for id, squared in self.distances.items() if squared < settings.gate}
+        known = self._known(scene_gate.distances(expected, extraction, settings))
         ground = self._trusted_ground(extraction, known)
         ids = self._join(extraction, known, ground, baseline, shown)
         index = np.full(len(pair), -1)
@@ -218,6 +226,13 @@ class SceneFilter:
             self._progress.rested, self._progress.started = False, True
             return TrackingStatus.OK, ''
         return self._unsupported(extraction.stamp, CONTRADICTED if self.distances else SCALELESS)
+
+    def _known(self, distances: dict[int, float]) -> set[int]:
+        """Return the planes that are where they were predicted, by their squared distances."""
+        self.distances = {id: squared / self._agreement.scale
+                          for id, squared in distances.items()}
+        self._agreement = self._agreement.seen(distances.values())
+        return {id for id, squared in self.distances.items() if squared < self._settings.gate}
 
     def _trusted_ground(self, extraction: Extraction, known: set[int]) -> int | None:
         """Return the ground's id, None where it is not seen or contradicts the map.
@@ -311,17 +326,12 @@ class SceneFilter:
         return [partial(scene_observations.baseline, length=baseline, sigma=sigma)]
 
     def _rigid(self, extraction: Extraction, ground: int | None) -> list[Observe]:
-        """Return what is known of a mounted camera.
-
-        The height's error lasts over key frames: as white noise it has to be larger.
-        """
+        """Return what is known of a mounted camera."""
         settings = self._settings
         if settings.camera_height and ground is not None:
             height = settings.camera_height
-            dt = (extraction.stamp - extraction.previous_stamp) * 1e-9
-            lasting = float(np.sqrt(1 + 2 * settings.camera_height_time / dt))
             return [partial(scene_observations.camera_height, ground=ground, height=height,
-                            sigma=settings.camera_height_sigma * height * lasting,
+                            sigma=PAIR_HEIGHT * height,
                             lasting=self._height.lasting(settings) * height),
                     partial(scene_observations.mounting, ground=ground,
                             sigma=settings.mounting_sigma),

@@ -1,5 +1,6 @@
 """How far the motion vectors of a stream err together, measured while running."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from mv_slapse.config import SceneSettings
@@ -17,6 +18,9 @@ LEAST = 50  # correspondences whose errors can tell
 SLOW = 0.1  # weight of the newest pair in the running mean: some 10 pairs
 WANDER_TIME = 1.0  # s, of the mean departure of the height: single pairs are noise
 FORGET_TIME = 5.0  # s, in which a wandering height is forgotten
+TENTH = 6.25  # chi-square of 3 degrees of freedom is larger once in ten
+AGREEMENT_STEP = 0.3  # of the log of the scale: some 60 planes seen make it a sixth
+LEAST_SCALE = 0.1  # a tenfold conservative covariance; a lower one was not met on real streams
 BOUNDS = (1.0, 30.0)  # a pair says little beyond: too few blocks remain independent
 
 
@@ -42,6 +46,29 @@ class Dependence:
         newest = np.log(np.clip(measured(pair, R, t), *BOUNDS))
         mean = np.log(self.value) + weight * (newest - np.log(self.value))
         return Dependence(float(np.exp(mean)), self.pairs + 1)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well planes seen again agree with what was predicted of them.
+
+    ``scale`` is the square of their errors over what their covariances say: what the prediction
+    allows for, such as braking hard, seldom comes, and a gate for it lets in what is wrong.
+    """
+
+    scale: float = 1.0
+
+    def seen(self, distances: Iterable[float]) -> 'Agreement':
+        """Return it after one more pair's squared distances, three degrees of freedom each.
+
+        Follows the distance that one in ten exceeds, which outliers hardly move. Never above 1:
+        a map that is wrong must not widen the gate.
+        """
+        scale = self.scale
+        for distance in distances:
+            beyond = float(distance > TENTH * scale)
+            scale *= np.exp(AGREEMENT_STEP * (beyond - 0.1))
+        return Agreement(float(np.clip(scale, LEAST_SCALE, 1.0)))
 
 
 @dataclass(frozen=True)

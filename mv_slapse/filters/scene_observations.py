@@ -7,7 +7,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mv_slapse.filters.scene_state import (
+    HEIGHT,
     log_baseline,
+    N_LASTING,
     plane_in_camera,
     plane_in_camera_jacobian,
     relative_motion,
@@ -20,7 +22,7 @@ import numpy as np
 class Observation(NamedTuple):
     """Innovation z - h (m,), derivative H of h (m, n) by the error state, noise (m, m).
 
-    ``lasting`` (m, LASTING) is what one standard deviation of each lasting error does to z.
+    ``lasting`` (m, N_LASTING) is what one standard deviation of each lasting error does to z.
     """
 
     innovation: np.ndarray
@@ -36,11 +38,13 @@ def camera_height(state: SceneState, ground: int, height: float, sigma: float,
                   lasting: float = 0.0) -> Observation:
     """Observe the camera's height [m] above the ground plane, which sets the scale.
 
+    The height swings about its mean (see SceneState.heave).
+
     Parameters
     ----------
     state, ground : SceneState, int
     height, sigma : float
-        The height and its random error [m].
+        The mean height and the error of one pair [m].
     lasting : float
         The part of the height [m] that is wrong for good.
     """
@@ -51,8 +55,10 @@ def camera_height(state: SceneState, ground: int, height: float, sigma: float,
     H = np.zeros((1, state.size))
     H[0, state.at('current')] = by_camera_plane @ by_pose
     H[0, state.at(ground)] = by_camera_plane @ by_plane
-    error = np.array([[0.0, 0.0, 0.0, lasting]])
-    return Observation(np.array([height - depth]), H, np.eye(1) * sigma**2, error)
+    H[0, state.at('heave')] = -height
+    error = np.zeros((1, N_LASTING))
+    error[0, HEIGHT] = lasting
+    return Observation(np.array([height * (1 + state.heave) - depth]), H, np.eye(1) * sigma**2, error)
 
 
 def mounting(state: SceneState, ground: int, sigma: float) -> Observation:

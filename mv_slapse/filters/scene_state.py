@@ -14,7 +14,10 @@ import numpy as np
 
 CAMERA_BLOCKS = ('previous', 'current', 'velocity', 'omega')
 FAINT = 0.5  # of the log of a baseline: beyond, it may as well be none at all
-LASTING = 4  # errors that are not estimated: turn by which all vectors err, camera height
+# Errors that are not estimated: turn by which all vectors err, place in their blocks that they tell
+# of, camera height.
+TURN, PLACE, HEIGHT = slice(0, 3), slice(3, 5), slice(5, 6)
+N_LASTING = HEIGHT.stop
 
 
 @dataclass
@@ -43,7 +46,8 @@ class SceneState:
 
     Errors: of a pose (theta [rad] in the camera, position in {W}); of velocity and planes
     additive; of ``mount``, the ground normal as the camera is mounted, and of ``depth_scale``, the
-    log of the baseline that the depths of the last pair amount to, additive.
+    log of the baseline that the depths of the last pair amount to, additive; of ``heave``, the
+    camera's height above the road that is seen over what it is in the mean, as a share, additive.
     """
 
     previous: Pose
@@ -52,8 +56,9 @@ class SceneState:
     omega: np.ndarray
     mount: np.ndarray
     depth_scale: float = 0.0
+    heave: float = 0.0
     planes: dict[int, AnchoredPlane] = field(default_factory=dict)
-    error: ekf.State = field(default_factory=lambda: ekf.State(LASTING))
+    error: ekf.State = field(default_factory=lambda: ekf.State(N_LASTING))
 
     @property
     def size(self) -> int:
@@ -88,7 +93,8 @@ class SceneState:
         return SceneState(
             pose['previous'], pose['current'], self.velocity + e[self.at('velocity')],
             self.omega + e[self.at('omega')], mount / np.linalg.norm(mount),
-            self.depth_scale + float(e[self.at('depth_scale')][0]), planes, self.error)
+            self.depth_scale + float(e[self.at('depth_scale')][0]),
+            self.heave + float(e[self.at('heave')][0]), planes, self.error)
 
     def _moved_pose(self, name: str, e: np.ndarray) -> Pose:
         """Return a pose moved by its error (6,)."""
@@ -115,6 +121,7 @@ def start(mount: np.ndarray, velocity_sigma: float, omega_sigma: float,
     state.error.add('omega', np.zeros(3), np.eye(3) * omega_sigma**2)
     state.error.add('mount', np.zeros(3), np.eye(3) * mount_sigma**2)
     state.error.add('depth_scale', np.zeros(1), np.zeros((1, 1)))
+    state.error.add('heave', np.zeros(1), np.zeros((1, 1)))
     return state
 
 
@@ -192,6 +199,16 @@ def plane_in_camera_jacobian(state: SceneState, id: int):
     turned = pose.R.T @ plane.plane
     by_pose = np.c_[rotation.skew(turned / scale), -np.outer(turned, plane.plane) / scale**2]
     return by_pose, pose.R.T / scale - np.outer(turned, offset) / scale**2
+
+
+def sway(state: SceneState, dt: float, sigma: float, time: float):
+    """Let the heave settle for dt [s]: a share sigma of the height that lasts for ``time`` [s]."""
+    at = state.at('heave')
+    left = np.exp(-dt / time) if time else 0.0
+    F, Q = np.eye(state.size), np.zeros((state.size, state.size))
+    F[at, at], Q[at, at] = left, sigma**2 * (1 - left**2)
+    state.heave *= left
+    ekf.predict(state.error, state.error.mu, F, Q)
 
 
 def relative_motion(state: SceneState):

@@ -12,10 +12,13 @@ from typing import NamedTuple
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters.scene_observations import Observation, Observe
 from mv_slapse.filters.scene_state import (
+    N_LASTING,
     observation_jacobian,
+    PLACE,
     plane_in_camera,
     relative_motion,
     SceneState,
+    TURN,
 )
 from mv_slapse.geometry import two_view
 import numpy as np
@@ -88,7 +91,19 @@ def _of_pair(state: SceneState, pair, index, ids, settings: SceneSettings, first
         pair, R, t, planes, index, settings.relief, width=6.0 if first else 3.0,
         bias=settings.depth_bias, offset=settings.vector_bias,
         dependence=(settings.dependence, settings.depth_dependence))
-    G = observation_jacobian(state, ids)
-    turn = A[:, :3] * settings.vector_bias / pair.focal.mean()
-    lasting = np.c_[G.T @ turn, np.zeros(state.size)]
+    G, focal = observation_jacobian(state, ids), pair.focal.mean()
+    lasting = np.zeros((state.size, N_LASTING))
+    lasting[:, TURN] = G.T @ A[:, :3] * settings.vector_bias / focal
+    lasting[:, PLACE] = G.T @ (A @ _displaced(R, t, planes)) * settings.place_bias / focal
     return Information(G.T @ A @ G, G.T @ b, lasting)
+
+
+def _displaced(R, t, planes) -> np.ndarray:
+    """Return what (w, t, planes) become where vectors tell of a point beside their block's middle.
+
+    By one focal length to the right, or down. All of the picture is then displaced, but for what
+    its size makes of second order, as if the camera looked the other way by that angle.
+    """
+    angles = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    return np.array([np.r_[R @ q - q, -np.cross(q, t), -np.cross(q, planes).ravel()]
+                     for q in angles]).T

@@ -1,7 +1,8 @@
 """Errors of motion vectors as encoders make them, on exact correspondences: for filter tests.
 
 Encoders do not err at random: neighbours share their error, a surface as a whole looks too near
-or too far, all vectors of a stream lean a little one way, and some are plainly wrong.
+or too far, all vectors of a stream lean a little one way or tell of a point beside the middle of
+their block, and some are plainly wrong. The road itself is not at the same height everywhere.
 """
 
 from dataclasses import dataclass, replace
@@ -10,7 +11,7 @@ from mv_slapse.config import Checked, setting
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.geometry.rotation import exp
 from mv_slapse.records import Correspondences
-from mv_slapse.simulation.drawn import BLOCK, draw, SEARCH
+from mv_slapse.simulation.drawn import BLOCK, draw, DrawnPair, match, SEARCH
 from mv_slapse.simulation.street import Street
 from mv_slapse.simulation.surfaces import SKY
 import numpy as np
@@ -34,6 +35,12 @@ class VectorNoise(Checked):
     offset: float = setting(
         0.02, 'px', 'error that all vectors of a pair share, and again that all pairs share', 0.0,
         10.0)
+    place: float = setting(
+        0.7, 'px', 'standard deviation of the place in its block that a vector tells of, to the '
+        'right and down, which all pairs share', 0.0, 16.0)
+    heave: float = setting(
+        0.02, '-', 'standard deviation of the height above the road that is seen, as a share', 0.0, 1.0)
+    heave_time: float = setting(0.3, 's', 'for which that height lasts', 1e-3)
 
 
 class NoisyVectors:
@@ -44,6 +51,8 @@ class NoisyVectors:
         self._street, self._noise, self._rng = street, noise, rng
         self._turn = rng.normal(0, self._turn_sigma, 3)
         self._depth = rng.normal(0, noise.depth_bias)
+        self._beside = rng.normal(0, noise.place, 2)
+        self._heave = rng.normal(0, noise.heave)
 
     @property
     def _turn_sigma(self) -> float:
@@ -55,15 +64,34 @@ class NoisyVectors:
         noise, rng = self._noise, self._rng
         drawn = draw(self._street, i, j, rng, 0.0, 0.0)
         x_cur = drawn.correspondences.x_cur.astype(float)
+        self._sway((j - i) / self._street.settings.fps)
         x_prev = self._turned(drawn.x_true)
         x_prev += noise.sigma * self._common(x_cur)
         x_prev += self._share(drawn.surface)[:, None] * self._parallax(i, j, x_cur, drawn.x_true)
+        x_prev += self._misplaced(i, j, x_cur, drawn)
         wrong = rng.uniform(size=len(x_cur)) < noise.outliers
         x_prev[wrong] = drawn.x_true[wrong] + rng.uniform(-SEARCH, SEARCH, (wrong.sum(), 2))
         return replace(
             drawn.correspondences, x_prev=x_prev.astype(np.float32),
             sigma=np.full(len(x_cur), max(noise.sigma, 1e-3), np.float32),
             probability=np.full(len(x_cur), 1 - noise.outliers, np.float32))
+
+    def _sway(self, time: float):
+        """Let the height above the ground change for a time [s]."""
+        left = np.exp(-time / self._noise.heave_time)
+        self._heave = left * self._heave + np.sqrt(1 - left**2) * self._rng.normal(
+            0, self._noise.heave)
+
+    def _misplaced(self, i: int, j: int, x: np.ndarray, drawn: DrawnPair) -> np.ndarray:
+        """Return what a point beside each block's middle (N, 2) moves otherwise (N, 2) [px].
+
+        Blocks at the edge of a surface keep to their middle.
+        """
+        if not self._beside.any():
+            return np.zeros_like(x)
+        there, surface, seen = match(self._street, i, j, x + self._beside)
+        same = seen & (surface == drawn.surface)
+        return np.where(same[:, None], there - self._beside - drawn.x_true, 0.0)
 
     def _turned(self, x: np.ndarray) -> np.ndarray:
         """Return pixels (N, 2) as a camera sees them that is turned a little."""
@@ -86,6 +114,7 @@ class NoisyVectors:
         share = self._depth + noise.relief * rng.normal(size=len(surface))
         for id_ in np.unique(surface):
             share[surface == id_] += rng.normal(0, noise.surface_bias)
+        share[surface == self._street.names.index('ground')] -= self._heave
         return np.where(surface == SKY, 0.0, share)
 
     def _parallax(self, i: int, j: int, x_cur: np.ndarray, x_prev: np.ndarray) -> np.ndarray:

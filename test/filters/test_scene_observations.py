@@ -21,7 +21,7 @@ OBSERVATIONS = {
 @pytest.fixture
 def state(rng):
     state = between_two_poses(rng)
-    state.depth_scale = 0.3
+    state.depth_scale, state.heave = 0.3, 0.02
     state.add_plane(ROAD, AnchoredPlane(rng.normal(0, 0.3, 3), state.previous.t), np.eye(3))
     return state
 
@@ -45,8 +45,10 @@ def test_innovations_by_hand():
     state.depth_scale = 0.5
     innovation = {name: observe(state).innovation for name, observe in OBSERVATIONS.items()}
     np.testing.assert_allclose(innovation['camera height'], [1.65 - 2.0])
-    assert OBSERVATIONS['camera height'](state).lasting.tolist() == [[0, 0, 0, 0]]
-    assert OBSERVATIONS['height wrong for good'](state).lasting.tolist() == [[0, 0, 0, 0.02]]
+    state.heave = 0.1
+    np.testing.assert_allclose(OBSERVATIONS['camera height'](state).innovation, [1.65 * 1.1 - 2])
+    assert OBSERVATIONS['camera height'](state).lasting.tolist() == [[0] * 6]
+    assert OBSERVATIONS['height wrong for good'](state).lasting.tolist() == [[0] * 5 + [0.02]]
     np.testing.assert_allclose(innovation['mounting'], 0, atol=1e-12)
     np.testing.assert_allclose(innovation['baseline'], [np.log(3 / np.hypot(0.3, 2))])
     np.testing.assert_allclose(innovation['baseline ratio'], [np.log(np.hypot(0.3, 2)) - 0.5])

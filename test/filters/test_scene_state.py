@@ -19,7 +19,8 @@ def error_between(old, new):
     e = old.error_to(new)
     for name in ('velocity', 'omega', 'mount'):
         e[old.at(name)] = getattr(new, name) - getattr(old, name)
-    e[old.at('depth_scale')] = new.depth_scale - old.depth_scale
+    for name in ('depth_scale', 'heave'):
+        e[old.at(name)] = getattr(new, name) - getattr(old, name)
     for id_ in old.planes:
         e[old.at(id_)] = new.planes[id_].plane - old.planes[id_].plane
     return e
@@ -44,7 +45,7 @@ def test_at_the_start_the_pose_is_that_of_the_world_and_certain():
         assert not state.error.covariance(name).any()
     np.testing.assert_array_equal(state.error.covariance('velocity'), 1e4 * np.eye(3))
     np.testing.assert_array_equal(state.error.covariance('omega'), np.eye(3))
-    assert state.size == 6 + 6 + 3 + 3 + 3 + 1
+    assert state.size == 6 + 6 + 3 + 3 + 3 + 1 + 1
 
 
 def test_moving_by_an_error_undoes_the_error_between(rng, state):
@@ -220,6 +221,28 @@ def test_a_turn_on_the_spot_has_the_numerical_transition(state):
     np.testing.assert_allclose(state.P, expected, rtol=1e-4, atol=1e-6 * np.abs(P).max())
     np.testing.assert_array_equal(state.current.t, state.previous.t)
     np.testing.assert_allclose(scene_state.relative_motion(state)[0], R, atol=1e-12)
+
+
+def test_the_height_swings_about_its_mean_and_forgets(state):
+    def swayed(e):
+        twin = deepcopy(state).moved(e)
+        twin.error = deepcopy(state).error
+        scene_state.sway(twin, 0.2, 0.02, 0.3)
+        return twin
+
+    state.heave = 0.03
+    base, P = swayed(np.zeros(state.size)), state.P.copy()
+    F = jacobian(lambda e: error_between(base, swayed(e)), np.zeros(state.size))
+    F[state.at('mount'), state.at('mount')] = np.eye(3)
+    scene_state.sway(state, 0.2, 0.02, 0.3)
+    at, left = state.at('heave'), np.exp(-0.2 / 0.3)
+    assert state.heave == pytest.approx(0.03 * left)
+    expected = F @ P @ F.T
+    expected[at, at] += 0.02**2 * (1 - left**2)
+    np.testing.assert_allclose(state.P, expected, rtol=1e-4, atol=1e-6 * np.abs(P).max())
+    scene_state.sway(state, np.inf, 0.02, 0.3)
+    assert state.heave == 0
+    assert state.P[at, at] == pytest.approx(0.02**2)
 
 
 def test_a_halt_leaves_no_velocity_and_no_memory_of_one(state):

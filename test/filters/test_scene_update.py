@@ -197,12 +197,15 @@ def test_dependence_and_bias_widen_the_covariance(rng, scene):
 
 
 def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
-    """A turn of all vectors, and a wrong height, against their columns in the state."""
-    settings = replace(SIMPLE, vector_bias=0.05)
+    """A turn of all vectors, places beside the middle, a wrong height, against their columns."""
+    settings = replace(SIMPLE, vector_bias=0.05, place_bias=0.5)
 
-    def posterior(turn, height):
+    def posterior(turn, height, beside=(0.0, 0.0)):
         rays = scene.pair.rays_prev @ rotation.exp(-turn).T
-        pair = replace(scene.pair, rays_prev=rays, x_prev=to_pixels(K, rays))
+        offset = np.r_[np.array(beside) / scene.pair.focal, 0.0]
+        rays = rays / rays[:, 2:] - offset
+        pair = replace(scene.pair, rays_prev=rays, x_prev=to_pixels(K, rays),
+                       rays_cur=scene.pair.rays_cur - offset)
         state = state_before(scene, np.random.default_rng(1))
         found = scene_update.update(
             state, np.zeros(state.size), pair, scene.surface, IDS, settings,
@@ -213,6 +216,7 @@ def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
     base, found = posterior(np.zeros(3), 1.65)
     size = 0.05 / np.mean([K[0, 0], K[1, 1]])
     shifts = [posterior(scene.R.T @ (turn * size), 1.65)[0] - base for turn in np.eye(3)]
+    shifts += [posterior(np.zeros(3), 1.65, 0.5 * side)[0] - base for side in np.eye(2)]
     shifts.append(posterior(np.zeros(3), 1.67)[0] - base)
     columns = found.error.lasting[found.at('current')]
     scale = np.sqrt(np.diag(found.error.total))[6:12, None]

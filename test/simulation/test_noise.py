@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 NONE = VectorNoise(sigma=0.0, together=0.0, outliers=0.0, relief=0.0, surface_bias=0.0,
-                   depth_bias=0.0, offset=0.0)
+                   depth_bias=0.0, offset=0.0, place=0.0, heave=0.0)
 FIRST, SECOND = 20, 24
 
 
@@ -81,3 +81,39 @@ def test_an_offset_turns_all_vectors_alike_and_lasts(street, exact):
     assert np.std(error - error.mean(axis=0)) < np.linalg.norm(np.std(means, axis=0))
     assert np.std(means, axis=0) == pytest.approx(np.full(2, 0.5), rel=0.25)
     assert np.abs(np.mean(means, axis=0)).max() > 0.1
+
+
+def test_vectors_tell_of_a_point_beside_the_middle_of_their_block(street, exact):
+    rng = np.random.default_rng(1)
+    vectors = NoisyVectors(street, replace(NONE, place=2.0), rng)
+    found = vectors.pair(FIRST, SECOND).x_prev - exact.x_true
+    beside = np.random.default_rng(1)
+    beside.normal(0, 1, 4)  # what lasts and was drawn before
+    offset = beside.normal(0, 2.0, 2)
+    x = exact.correspondences.x_cur.astype(float)
+    there, surface, seen = drawn.match(street, FIRST, SECOND, x + offset)
+    inner = seen & (surface == exact.surface)
+    assert inner.mean() > 0.8
+    np.testing.assert_allclose((x + found + exact.x_true - x)[inner], (there - offset)[inner],
+                               atol=1e-3)
+    assert np.abs(found[exact.surface == 0]).mean() > 0.05  # the motion differs there
+
+
+def test_the_height_above_the_ground_swings_about_its_mean(street, exact):
+    vectors = NoisyVectors(street, replace(NONE, heave=0.05, heave_time=0.4),
+                           np.random.default_rng(0))
+    R = street.pose(SECOND)[0].T @ street.pose(FIRST)[0]
+    far = to_pixels(street.camera.K,
+                    to_rays(street.camera.K, exact.correspondences.x_cur.astype(float)) @ R)
+    road = exact.surface == street.names.index('ground')
+    parallax = (exact.x_true - far)[road]
+    shares = []
+    for _ in range(300):
+        error = vectors.pair(FIRST, SECOND).x_prev - exact.x_true
+        assert np.abs(error[~road]).max() < 1e-3
+        shares.append(np.sum(error[road] * parallax) / np.sum(parallax**2))
+    shares = np.array(shares)
+    assert np.std(shares) == pytest.approx(0.05, rel=0.25)
+    lasting = np.mean(shares[1:] * shares[:-1]) / np.var(shares)
+    step = (SECOND - FIRST) / street.settings.fps
+    assert lasting == pytest.approx(np.exp(-step / 0.4), abs=0.12)
