@@ -79,8 +79,11 @@ def drive(seed: int, steps: int, movers: tuple[str, ...], height_known: bool):
 
 
 def height_error() -> float:
-    """Return how far a measured camera height is off, as the filter supposes."""
-    return SceneSettings().camera_height_bias
+    """Return how far a measured camera height is off, as the filter supposes.
+
+    What vectors show too near or too far counts as an error of the height, and is drawn with them.
+    """
+    return float(np.sqrt(SceneSettings().camera_height_bias**2 - VectorNoise().depth_bias**2))
 
 
 def measure(kind: str, drives: int, steps: int, movers: tuple[str, ...],

@@ -339,12 +339,11 @@ class SceneFilter:
         return []
 
     def _forget(self, stamp: int):
-        """Marginalise planes out that have had no support for long."""
+        """Marginalise planes out that have had no support for long, unless they may return."""
         lifetime = self._settings.plane_lifetime * 1e9
-        for id in list(self._state.planes):
-            if self._map.unseen_for(id, stamp) > lifetime:
-                self._state.remove_plane(id)
-                self._map.remove(id)
+        for id in self._map.overdue(self._state, stamp, lifetime):
+            self._map.leave(self._state, id)
+            self._state.remove_plane(id)
 
     def _accept(self, handovers: Sequence[PlaneHandover]):
         """Take planes over that have come to rest."""

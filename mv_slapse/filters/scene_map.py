@@ -13,6 +13,10 @@ import numpy as np
 FARTHEST = 30.0  # an outline ends this many plane depths from the camera: beyond, a block's
 #                  position on a grazing plane is noise
 
+WELL_SEEN = 5  # key frames that show a plane which is worth keeping
+MOST_HELD = 30  # planes in the filter: its time grows with the square of them
+MOST_LEFT = 200  # planes that the filter gave up and the map still shows
+
 
 @dataclass(frozen=True)
 class Sighting:
@@ -33,6 +37,7 @@ class SceneMap:
         """Start empty."""
         self._sightings: dict[int, Sighting] = {}
         self._waited, self._seen = 0, {}
+        self._left: dict[int, MapPlane] = {}
 
     @property
     def ground(self) -> int | None:
@@ -43,6 +48,38 @@ class SceneMap:
     def remove(self, id: int):
         """Forget a plane."""
         del self._sightings[id], self._seen[id]
+
+    def leave(self, state: SceneState, id: int):
+        """Keep a wall that the filter gives up as it was last known, if it was well seen.
+
+        Not the ground: elsewhere the road is another plane.
+        """
+        if not self.is_lasting(id):
+            self.remove(id)
+            return
+        self._sightings[id] = replace(self._sightings[id], n_macroblocks=0)
+        self._left[id] = self._map_plane(state, id)
+        if len(self._left) > MOST_LEFT:
+            oldest = min(self._left, key=lambda id: self._left[id].last_stamp)
+            del self._left[oldest]
+            self.remove(oldest)
+
+    def is_lasting(self, id: int) -> bool:
+        """Tell whether a plane is a wall that was seen often enough to be worth keeping."""
+        sighting = self._sightings[id]
+        return sighting.n_observations >= WELL_SEEN and not sighting.is_ground
+
+    def overdue(self, state: SceneState, stamp: int, lifetime: int) -> list[int]:
+        """Return the planes that the filter should give up.
+
+        Those unseen for longer than ``lifetime`` [ns], but for walls that were well seen: these
+        may come back into view, and are given up where there are too many.
+        """
+        unseen = {id: self.unseen_for(id, stamp) for id in state.planes}
+        lasting = {id for id in unseen if self.is_lasting(id)}
+        late = [id for id, time in unseen.items() if time > lifetime and id not in lasting]
+        away = sorted((id for id in lasting if unseen[id] > lifetime), key=unseen.get)
+        return late + away[max(MOST_HELD - len(unseen) + len(away) + len(late), 0):]
 
     def wait(self, time: int):
         """Let no plane age for a time [ns] in which nothing new came into view."""
@@ -55,6 +92,7 @@ class SceneMap:
     def adopt(self, id: int, stamp: int):
         """Begin the history of a plane that another filter hands over."""
         self._sightings[id] = Sighting(stamp, stamp)
+        self._left.pop(id, None)
         self._seen[id] = stamp - self._waited
 
     def scale(self, factor: float):
@@ -62,23 +100,30 @@ class SceneMap:
         self._sightings = {
             id: replace(s, outline=None if s.outline is None else s.outline * factor)
             for id, s in self._sightings.items()}
+        D = np.array([1.0, 1.0, 1.0, factor])
+        self._left = {id: replace(plane, depth=plane.depth * factor,
+                                  covariance=D[:, None] * plane.covariance * D,
+                                  outline=plane.outline * factor)
+                      for id, plane in self._left.items()}
 
     def observe(self, state: SceneState, extraction: Extraction, ids: list[int]):
         """Note which planes of ``ids`` a key frame shows, and where."""
         seen = {plane.id: plane for plane in extraction.planes if plane.id in ids}
         self._sightings = {id: replace(s, n_macroblocks=0) for id, s in self._sightings.items()
-                           if id in state.planes}
+                           if id in state.planes or id in self._left}
         for id, plane in seen.items():
             old = self._sightings.get(id, Sighting(extraction.stamp, extraction.stamp))
             self._seen[id] = extraction.stamp - self._waited
+            self._left.pop(id, None)
             points = _points(state, id, extraction)
             self._sightings[id] = Sighting(
                 old.first_stamp, extraction.stamp, old.n_observations + 1, plane.n_macroblocks,
                 _outline(state, id, old.outline, points), plane.is_ground)
 
     def planes(self, state: SceneState) -> tuple[MapPlane, ...]:
-        """Return all planes in {W}."""
-        return tuple(self._map_plane(state, id) for id in sorted(state.planes))
+        """Return all planes in {W}: those that the filter holds, then those that it gave up."""
+        held = tuple(self._map_plane(state, id) for id in sorted(state.planes))
+        return held + tuple(self._left.values())
 
     def _map_plane(self, state: SceneState, id: int) -> MapPlane:
         """Write a plane down in {W}."""

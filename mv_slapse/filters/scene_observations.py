@@ -58,7 +58,8 @@ def camera_height(state: SceneState, ground: int, height: float, sigma: float,
     H[0, state.at('heave')] = -height
     error = np.zeros((1, N_LASTING))
     error[0, HEIGHT] = lasting
-    return Observation(np.array([height * (1 + state.heave) - depth]), H, np.eye(1) * sigma**2, error)
+    innovation = np.array([height * (1 + state.heave) - depth])
+    return Observation(innovation, H, np.eye(1) * sigma**2, error)
 
 
 def mounting(state: SceneState, ground: int, sigma: float) -> Observation:

@@ -14,8 +14,8 @@ import numpy as np
 
 CAMERA_BLOCKS = ('previous', 'current', 'velocity', 'omega')
 FAINT = 0.5  # of the log of a baseline: beyond, it may as well be none at all
-# Errors that are not estimated: turn by which all vectors err, place in their blocks that they tell
-# of, camera height.
+# Errors that are not estimated: turn by which all vectors err, place in their blocks that they
+# tell of, camera height.
 TURN, PLACE, HEIGHT = slice(0, 3), slice(3, 5), slice(5, 6)
 N_LASTING = HEIGHT.stop
 

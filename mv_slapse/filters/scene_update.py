@@ -70,17 +70,29 @@ def update(state: SceneState, start: np.ndarray, pair: two_view.Pair, index: np.
         told = _of_pair(moved, pair, index, ids, settings, step == 0)
         for observe in observations:
             told = told.joined(observe(moved))
-        L = np.linalg.inv(np.eye(state.size) + state.P @ told.matrix)
-        e_new = L @ state.P @ (told.vector + told.matrix @ e)
+        of, gain = _gain(state.P, told)
+        e_new = gain @ (told.vector + told.matrix @ e)[of]
         moved = state.moved(e_new)
         done, e = np.max(np.abs(e_new - e)) < 1e-6, e_new
         if done:
             break
-    gain = L @ state.P
-    P = gain @ L.T + gain @ told.matrix @ gain.T
+    matrix, lasting = told.matrix[np.ix_(of, of)], moved.error.lasting
+    # L P L^T + gain matrix gain^T with L = I - gain matrix: Joseph's form.
+    P = state.P - gain @ (matrix @ state.P[of])
+    P -= (P[:, of] - gain) @ matrix @ gain.T
     moved.error.P = 0.5 * (P + P.T)
-    moved.error.lasting = L @ moved.error.lasting + gain @ told.lasting
+    moved.error.lasting = lasting + gain @ (told.lasting[of] - matrix @ lasting[of])
     return moved
+
+
+def _gain(P: np.ndarray, told: Information) -> tuple[np.ndarray, np.ndarray]:
+    """Return which m elements of the state are told of, and the gain (n, m) of their information.
+
+    The planes out of view are many, and nothing is told of them.
+    """
+    of = np.flatnonzero(told.matrix.any(axis=0))
+    seen = np.eye(len(of)) + told.matrix[np.ix_(of, of)] @ P[np.ix_(of, of)]
+    return of, np.linalg.solve(seen.T, P[of]).T
 
 
 def _of_pair(state: SceneState, pair, index, ids, settings: SceneSettings, first: bool):

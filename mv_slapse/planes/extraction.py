@@ -12,7 +12,7 @@ import itertools
 
 from mv_slapse.planes import consensus, lattice, windows
 from mv_slapse.planes.consensus import Depths
-from mv_slapse.planes.known import KnownPlane
+from mv_slapse.planes.known import kept, KnownPlane, recognised
 from mv_slapse.planes.windows import DEPENDENCE, Windows
 import numpy as np
 from scipy import ndimage
@@ -114,13 +114,16 @@ def stationary_planes(depths: Depths, free: np.ndarray, known: Sequence[KnownPla
         To predict to the next pair.
     """
     blocks, index = _sharp_blocks(depths, free, up, rules)
-    chosen = [] if blocks is None else _chosen(blocks, known, room)
+    nearby = [track for track in known if not track.is_away]
+    chosen = [] if blocks is None else _chosen(blocks, nearby, room)
     ids = itertools.count(next_id)
-    fits, after = [], []
+    fits, after, taken = [], [], set()
     for track, plane, covariance, part in chosen:
         if track.id < 0 and track.seen >= CONFIRMED and (
                 track.spread < blocks.rules.max_uncertainty):
-            track = replace(track, id=next(ids))
+            old = recognised(track, [old for old in known if old.id not in taken])
+            track = replace(track, id=next(ids) if old is None else old.id)
+            taken.add(track.id)
         after.append(track)
         if track.id >= 0:
             member = np.zeros(len(depths), bool)
@@ -128,7 +131,7 @@ def stationary_planes(depths: Depths, free: np.ndarray, known: Sequence[KnownPla
             fits.append(PlaneFit(plane, covariance, member, track.id))
     seen = {track.id for track in after}
     unseen = [track.unseen() for track in known if track.id not in seen]
-    return fits, after + [track for track in unseen if track is not None]
+    return fits, after + kept([track for track in unseen if track is not None])
 
 
 def _sharp_blocks(depths: Depths, free: np.ndarray, up, rules: Rules):

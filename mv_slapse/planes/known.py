@@ -1,5 +1,6 @@
 """Planes that earlier key frames have shown, and what they let expect of the next."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mv_slapse.geometry import plane as plane_geometry
@@ -7,7 +8,11 @@ import numpy as np
 
 WOBBLE = 0.01  # rad, and share of the depth: change from pair to pair that a fit does not tell
 GATE = 14.2  # squared distance of the same plane seen again: 99.7 % of chi-square, 3 degrees
+DRIFT = 0.003  # the same where it is out of view: what the motion of a pair is wrong by
 PATIENCE = 3  # pairs in which a plane may be missing: an I frame's is poor in vectors
+WELL_SEEN = 5  # pairs that show a plane which is worth being known again
+USEFUL = 0.15  # spread at which one plane cannot be told from the next: set-backs differ by 0.2
+MOST = 30  # planes out of view that are kept
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,11 @@ class KnownPlane:
     missed: int = 0
 
     @property
+    def is_away(self) -> bool:
+        """Tell whether it is out of view, rather than missed for a moment."""
+        return self.missed > PATIENCE
+
+    @property
     def spread(self) -> float:
         """Return the standard deviation of the plane, as a share of it."""
         return float(np.sqrt(np.trace(self.covariance)) / np.linalg.norm(self.plane))
@@ -47,7 +57,7 @@ class KnownPlane:
             return None
         plane = plane_geometry.transform(self.plane * scale, R, t)
         J = scale * (R / nearer + np.outer(rotated, t @ R) / nearer**2)
-        wobble = WOBBLE**2 * (plane @ plane) * np.eye(3)
+        wobble = (DRIFT if self.missed else WOBBLE)**2 * (plane @ plane) * np.eye(3)
         covariance = (J @ self.covariance @ J.T + ratio_sigma**2 * np.outer(plane, plane) + wobble)
         return replace(self, plane=plane, covariance=covariance)
 
@@ -64,6 +74,22 @@ class KnownPlane:
                        covariance=0.5 * (rest + rest.T), seen=self.seen + 1, missed=0)
 
     def unseen(self) -> 'KnownPlane | None':
-        """Return it after a pair that does not show it; None where it is given up."""
-        lost = self.seen < 2 or self.missed >= PATIENCE
-        return None if lost else replace(self, missed=self.missed + 1)
+        """Return it after a pair that does not show it; None where it is given up.
+
+        A plane that was well seen leaves the view and may come back.
+        """
+        soon = self.seen >= 2 and self.missed < PATIENCE
+        later = self.id >= 0 and self.seen >= WELL_SEEN and self.spread < USEFUL
+        return replace(self, missed=self.missed + 1) if soon or later else None
+
+
+def recognised(track: KnownPlane, known: Sequence[KnownPlane]) -> KnownPlane | None:
+    """Return the plane out of view that a new one is, the nearest; None where it is another."""
+    near = [old for old in known if old.is_away and old.is_near(track.plane, track.covariance)]
+    return min(near, key=lambda old: np.linalg.norm(old.plane - track.plane), default=None)
+
+
+def kept(known: Sequence[KnownPlane]) -> list[KnownPlane]:
+    """Return the planes without those that were out of view for the longest, if too many."""
+    away = sorted((plane for plane in known if plane.is_away), key=lambda plane: plane.missed)
+    return [plane for plane in known if not plane.is_away] + away[:MOST]

@@ -39,7 +39,8 @@ class VectorNoise(Checked):
         0.7, 'px', 'standard deviation of the place in its block that a vector tells of, to the '
         'right and down, which all pairs share', 0.0, 16.0)
     heave: float = setting(
-        0.02, '-', 'standard deviation of the height above the road that is seen, as a share', 0.0, 1.0)
+        0.02, '-', 'standard deviation of the height above the road that is seen, as a share', 0.0,
+        1.0)
     heave_time: float = setting(0.3, 's', 'for which that height lasts', 1e-3)
 
 
@@ -64,7 +65,7 @@ class NoisyVectors:
         noise, rng = self._noise, self._rng
         drawn = draw(self._street, i, j, rng, 0.0, 0.0)
         x_cur = drawn.correspondences.x_cur.astype(float)
-        self._sway((j - i) / self._street.settings.fps)
+        self._sway(abs(j - i) / self._street.settings.fps)
         x_prev = self._turned(drawn.x_true)
         x_prev += noise.sigma * self._common(x_cur)
         x_prev += self._share(drawn.surface)[:, None] * self._parallax(i, j, x_cur, drawn.x_true)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import canyon as canyon_views
 from mv_slapse.config import SceneSettings
+from mv_slapse.filters import scene_map
 from mv_slapse.filters.scene import GROUND_PATIENCE, SceneFilter
 from mv_slapse.filters.scene_input import stationary
 from mv_slapse.geometry import plane as plane_geometry
@@ -206,16 +207,43 @@ def test_a_plane_that_has_come_to_rest_joins_the_map():
     assert found[70].depth == pytest.approx(20, abs=1e-3)
 
 
-def test_planes_without_support_are_forgotten_after_their_lifetime():
+def without(extraction, id_):
+    """Return an extraction that does not show a plane."""
+    return replace(extraction, planes=tuple(p for p in extraction.planes if p.id != id_),
+                   plane_id=np.where(extraction.plane_id == id_, -1, extraction.plane_id))
+
+
+@pytest.mark.parametrize('seen', [scene_map.WELL_SEEN - 1, scene_map.WELL_SEEN])
+def test_planes_without_support_are_forgotten_after_their_lifetime_unless_well_seen(seen):
     canyon, filter_ = Canyon(), SceneFilter(replace(METRIC, plane_lifetime=0.35))
-    driven(canyon, 5, filter_=filter_)
+    driven(canyon, seen, filter_=filter_)
     ids = []
-    for k in range(6, 11):
-        extraction = canyon.extraction(k)
-        planes = tuple(p for p in extraction.planes if p.id != WALL)
-        estimate, _ = filter_.step(replace(extraction, planes=planes))
+    for k in range(seen + 1, seen + 6):
+        estimate, _ = filter_.step(without(canyon.extraction(k), WALL))
         ids.append([plane.id for plane in estimate.planes])
-    assert [WALL in seen for seen in ids] == [True, True, True, False, False]
+    held = seen >= scene_map.WELL_SEEN
+    assert [WALL in seen for seen in ids] == [True, True, True, held, held]
+
+
+def length_after_a_gap(rng, gap):
+    """Return the last baseline over the true one; the camera brakes while no plane is in view."""
+    canyon = Canyon(rng, 0.3, way=lambda t: SPEED * (t if t < 1 else 1 + 0.7 * (t - 1)))
+    filter_ = SceneFilter(SceneSettings(plane_lifetime=0.35))
+    for k in range(1, 10 + gap + 5):
+        extraction = canyon.extraction(k, ratio=False)
+        for id_ in range(4) if 10 <= k < 10 + gap else ():
+            extraction = without(extraction, id_)
+        estimate, _ = filter_.step(extraction)
+    return estimate.baseline / 0.7
+
+
+def test_planes_that_come_back_into_view_bring_the_scale_back(monkeypatch):
+    gap = 8
+    kept = [length_after_a_gap(np.random.default_rng(seed), gap) for seed in range(4)]
+    np.testing.assert_allclose(kept, 1, atol=0.03)
+    monkeypatch.setattr(scene_map, 'WELL_SEEN', 100)
+    given_up = length_after_a_gap(np.random.default_rng(0), gap)
+    assert given_up > 1.2
 
 
 def test_a_ground_that_contradicts_the_map_is_not_believed_at_once():

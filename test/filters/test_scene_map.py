@@ -149,6 +149,67 @@ def test_scaling_scales_the_outlines(observed):
     np.testing.assert_allclose(known.planes(state)[WALL].outline, 2 * before)
 
 
+def seen_often(canyon, n=scene_map.WELL_SEEN):
+    state, known = state_at(canyon, 3), SceneMap()
+    for _ in range(n):
+        known.observe(state, canyon.extraction(3), list(state.planes))
+    return state, known
+
+
+def test_a_well_seen_wall_stays_in_the_map_when_the_filter_gives_it_up(canyon):
+    state, known = seen_often(canyon)
+    before = {plane.id: plane for plane in known.planes(state)}
+    for id_ in (WALL, GROUND):
+        known.leave(state, id_)
+        state.remove_plane(id_)
+    planes = {plane.id: plane for plane in known.planes(state)}
+    assert GROUND not in planes  # elsewhere the road is another
+    assert planes[WALL].n_macroblocks == 0
+    np.testing.assert_array_equal(planes[WALL].outline, before[WALL].outline)
+    known.scale(2.0)
+    scaled = {plane.id: plane for plane in known.planes(state)}[WALL]
+    assert scaled.depth == 2 * planes[WALL].depth
+    np.testing.assert_array_equal(scaled.outline, 2 * planes[WALL].outline)
+    D = np.diag([1.0, 1, 1, 2])
+    np.testing.assert_allclose(scaled.covariance, D @ planes[WALL].covariance @ D)
+    state.add_plane(WALL, state_at(canyon, 3).planes[WALL], np.eye(3))
+    known.observe(state, canyon.extraction(3), [WALL])
+    again = [plane for plane in known.planes(state) if plane.id == WALL]
+    assert [plane.n_observations for plane in again] == [scene_map.WELL_SEEN + 1]
+
+
+def test_a_plane_seen_by_chance_does_not_stay(canyon):
+    state, known = seen_often(canyon, scene_map.WELL_SEEN - 1)
+    known.leave(state, WALL)
+    state.remove_plane(WALL)
+    assert WALL not in [plane.id for plane in known.planes(state)]
+
+
+def test_walls_out_of_view_are_held_up_to_a_number_and_others_for_a_time(canyon, monkeypatch):
+    state, known = seen_often(canyon)
+    known.adopt(50, stamp(3))  # seen once, by another filter
+    state.add_plane(50, AnchoredPlane(np.array([0, 0, -0.1]), np.zeros(3)), np.eye(3))
+    late = stamp(3) + int(3e9)
+    assert known.overdue(state, stamp(4), int(2e9)) == []
+    assert sorted(known.overdue(state, late, int(2e9))) == [GROUND, 50]
+    monkeypatch.setattr(scene_map, 'MOST_HELD', 1)
+    walls = set(state.planes) - {GROUND, 50}
+    overdue = known.overdue(state, late, int(2e9))
+    assert len(walls - set(overdue)) == 1
+
+
+def test_the_map_keeps_the_planes_seen_last_if_there_are_too_many(canyon, monkeypatch):
+    monkeypatch.setattr(scene_map, 'MOST_LEFT', 1)
+    state, known = seen_often(canyon)
+    known.observe(state, canyon.extraction(4), [2])
+    for id_ in (2, WALL):
+        known.leave(state, id_)
+        state.remove_plane(id_)
+    ids = [plane.id for plane in known.planes(state)]
+    assert 2 in ids
+    assert WALL not in ids
+
+
 def test_a_turned_camera_sees_the_same_outline(observed):
     state, known = observed
     np.testing.assert_allclose(state.current.R, rotation.exp([0, 0.3 * 0.3, 0]), atol=1e-9)

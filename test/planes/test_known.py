@@ -1,6 +1,9 @@
 """Planes from pair to pair: prediction, fusion, patience."""
 
-from mv_slapse.planes.known import KnownPlane, PATIENCE, WOBBLE
+from dataclasses import replace
+
+from mv_slapse.planes import known as known_planes
+from mv_slapse.planes.known import DRIFT, kept, KnownPlane, PATIENCE, recognised, WOBBLE
 from numeric import jacobian
 import numpy as np
 import pytest
@@ -66,3 +69,40 @@ def test_a_plane_seen_twice_is_waited_for_and_another_is_not():
         known = known.unseen()
     assert known.missed == PATIENCE
     assert known.unseen() is None
+
+
+def gone(seen, pairs, plane=PLANE, id_=0):
+    """Return a plane that so many pairs have shown and so many since then have not."""
+    known = KnownPlane(plane, np.eye(3) * 1e-6, id=id_, seen=seen)
+    for _ in range(pairs):
+        known = known and known.unseen()
+    return known
+
+
+def test_a_well_seen_plane_may_come_back_as_long_as_it_can_be_told_from_others():
+    assert gone(known_planes.WELL_SEEN - 1, PATIENCE + 1) is None
+    away = gone(known_planes.WELL_SEEN, 50)
+    assert (away.missed, away.is_away) == (50, True)
+    assert not gone(known_planes.WELL_SEEN, PATIENCE).is_away
+    vague = replace(away, covariance=np.eye(3) * (0.2 * np.linalg.norm(PLANE))**2 / 3)
+    assert vague.unseen() is None
+
+
+def test_out_of_view_a_plane_is_wrong_by_what_the_motion_is():
+    before = gone(9, 1)
+    after = before.predicted(np.eye(3), np.array([0, 0, -1e-9]), 0.0, 0.0)
+    np.testing.assert_allclose(after.covariance - before.covariance,
+                               DRIFT**2 * (PLANE @ PLANE) * np.eye(3), atol=1e-12)
+
+
+def test_a_new_plane_is_the_nearest_of_those_out_of_view_or_another():
+    away = [gone(9, 9, PLANE * (1 + 0.004 * i), i) for i in range(3)]
+    new = KnownPlane(PLANE * 1.005, np.eye(3) * 1e-6)
+    assert recognised(new, away).id == 1
+    assert recognised(new, [gone(9, 1, PLANE, 5)]) is None  # still in view: another one
+    assert recognised(replace(new, plane=PLANE * 1.1), away) is None
+
+
+def test_the_longest_out_of_view_are_given_up_first():
+    planes = [gone(9, 0, id_=99), *(gone(9, 10 + i, id_=i) for i in range(40))]
+    assert [plane.id for plane in kept(planes)] == [99, *range(known_planes.MOST)]
