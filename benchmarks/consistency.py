@@ -59,8 +59,8 @@ def drive(seed: int, steps: int, movers: tuple[str, ...], height_known: bool):
     """Return the NEES of each step and the squared distances of known planes of one drive."""
     street = Street(StreetSettings(seed=seed, n_frames=STEP * steps + 1, movers=movers))
     rng = np.random.default_rng(seed)
-    # Where the scale is free the road is a plane like any other: nothing ties its height.
-    noise = VectorNoise() if height_known else VectorNoise(heave=0.0)
+    heave = SceneSettings().camera_height_sigma if height_known else 0.0
+    noise = VectorNoise(heave=heave, heave_time=SceneSettings().camera_height_time)
     vectors = NoisyVectors(street, noise, rng)
     extractor = PlaneExtractor(street.camera, ExtractionSettings())
     height = street.settings.camera_height * (1 + rng.normal(0, height_error()))

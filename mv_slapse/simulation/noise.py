@@ -39,8 +39,8 @@ class VectorNoise(Checked):
         0.7, 'px', 'standard deviation of the place in its block that a vector tells of, to the '
         'right and down, which all pairs share', 0.0, 16.0)
     heave: float = setting(
-        0.02, '-', 'standard deviation of the height above the road that is seen, as a share', 0.0,
-        1.0)
+        0.0, '-', 'standard deviation of the height above the road that is seen, as a share: '
+        'of a vehicle 0.02', 0.0, 1.0)
     heave_time: float = setting(0.3, 's', 'for which that height lasts', 1e-3)
 
 
