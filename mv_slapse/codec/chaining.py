@@ -17,6 +17,7 @@ MACROBLOCK = 16  # px
 SAMPLE = 400  # correspondences that are enough to measure the parallax
 ROUNDS = 4  # of reweighting
 NANOSECONDS = 1e9
+STEADY = 0.3  # share of a vector by which the one before may differ: what comes near speeds up
 
 
 class Chainer:
@@ -38,7 +39,7 @@ class Chainer:
         if self._chain is None:
             self._chain, self._links = pair, 1
         else:
-            self._chain = chain(pair.supported(), self._chain.supported(), self._settings)
+            self._chain = chain(pair, self._chain, self._settings)
             self._links += 1
         return self.flush() if self._is_long_enough() else []
 
@@ -64,7 +65,7 @@ def chain(newer: Correspondences, older: Correspondences,
 
     Each match of the newer pair is moved on by the mean motion of the (up to four) macroblocks
     of the older pair that surround it; a match whose surroundings disagree, or that has none, is
-    dropped. The variances add up.
+    dropped. A lone one is moved on by lone ones too, if it goes on as before. Variances add up.
 
     Parameters
     ----------
@@ -72,7 +73,13 @@ def chain(newer: Correspondences, older: Correspondences,
         Pairs k-1 to k and j to k-1.
     settings : DecoderSettings
     """
-    motion, variance, known = _sample(older, newer.x_prev, settings)
+    lone = newer.lone
+    motion, variance, known = _sample(older.supported(), newer.x_prev, settings)
+    if lone.any():
+        motion[lone], variance[lone], known[lone] = _sample(older, newer.x_prev[lone], settings)
+        vector = (newer.x_prev - newer.x_cur)[lone]
+        limit = settings.agreement_slack + STEADY * np.hypot(*vector.T)
+        known[lone] &= np.hypot(*(motion[lone] - vector).T) < limit
     x_cur, x_prev = newer.x_cur[known], newer.x_prev[known] + motion[known]
     sigma = np.sqrt(newer.sigma[known] ** 2 + variance[known])
     return replace(newer, previous_stamp=older.previous_stamp, kind=SegmentKind.CHAINED,

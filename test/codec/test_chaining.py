@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 from mv_slapse.codec.chaining import chain, Chainer, parallax
 from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.camera import Camera
@@ -70,6 +72,35 @@ def test_a_chain_that_leads_nowhere_is_dropped():
 def test_a_chain_through_an_empty_pair_is_empty():
     empty = Correspondences(STEP, 0, 320, 240, SegmentKind.PP)
     assert len(chain(pair(2, 1), empty, SETTINGS)) == 0
+
+
+def with_lone(whole, rows, vector):
+    """Return a pair in which some rows have vectors of their own that nothing supports."""
+    x_prev, probability = whole.x_prev.copy(), whole.probability.copy()
+    x_prev[rows] = whole.x_cur[rows] + vector
+    probability[rows] *= 0.2
+    return replace(whole, x_prev=x_prev, probability=probability)
+
+
+@pytest.mark.parametrize(('before', 'stays'), [((15, 3), True), ((-6, 12), False)])
+def test_a_lone_vector_is_chained_to_a_lone_one_that_goes_on_as_it_did(before, stays):
+    row = [150]
+    newer = with_lone(pair(2, (1, 0)), row, (16, 2))
+    older = with_lone(pair(1, (1, 0)), [151], before)
+    joined = chain(newer, older, SETTINGS)
+    at = np.flatnonzero(np.all(joined.x_cur == GRID[row], axis=1))
+    assert len(at) == stays
+    assert joined.lone.sum() == stays
+    if stays:
+        np.testing.assert_allclose((joined.x_prev - joined.x_cur)[at], [[31, 5]], atol=0.5)
+
+
+def test_lone_vectors_do_not_bend_a_chain():
+    older = with_lone(pair(1, (2, 0)), [150, 171], (9, 9))
+    joined = chain(pair(2, (1, 0)), older, SETTINGS)
+    assert not joined.lone.any()
+    np.testing.assert_allclose(joined.x_prev - joined.x_cur, np.broadcast_to((3, 0), (
+        len(joined), 2)), atol=1e-5)
 
 
 @pytest.mark.parametrize('camera', [CAMERA, None])
