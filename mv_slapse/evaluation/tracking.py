@@ -24,7 +24,7 @@ import numpy as np
 PROMPT = 500_000_000  # [ns] from when a mover is due
 RELABELLED = 1_000_000_000  # [ns] from when it starts or stops
 FLICKER = 200_000_000  # [ns] for which a mover may be smaller and its passage go on
-TOUCHING = 0.05  # an obstacle that meets every mover with less is false
+ON_MOVER = 0.3  # share of an obstacle's box that a mover's must cover, or it is false
 MOVING = 0.3  # [m/s] slower is no mover
 FAR_CONTACT = 20.0  # [s] later contacts are not compared
 
@@ -199,9 +199,18 @@ def _false(rows: Table, movers: Table, frames: dict[int, int]) -> int:
     for stamp in np.unique(rows['stamp']):
         mine = select(rows, rows['stamp'] == stamp)
         there = select(movers, movers['stamp'] == frames.get(int(stamp), -1))
-        overlap = iou(boxes(mine), boxes(there))
-        found += int(np.sum(overlap.max(axis=1, initial=0) < TOUCHING))
+        covered = _covered(boxes(mine), boxes(there))
+        found += int(np.sum(covered.max(axis=1, initial=0) < ON_MOVER))
     return found
+
+
+def _covered(parts: np.ndarray, wholes: np.ndarray) -> np.ndarray:
+    """Return the share (N, M) of boxes (N, 4) that lies in each of others (M, 4)."""
+    low = np.maximum(parts[:, None, :2], wholes[None, :, :2])
+    high = np.minimum((parts[:, :2] + parts[:, 2:])[:, None],
+                      (wholes[:, :2] + wholes[:, 2:])[None])
+    common = np.prod(np.clip(high - low, 0, None), axis=2)
+    return common / np.maximum(parts[:, 2:].prod(axis=1), 1e-12)[:, None]
 
 
 def _rows(matches: list[Match]) -> tuple[np.ndarray, np.ndarray]:

@@ -151,14 +151,15 @@ def plane(mu: np.ndarray) -> np.ndarray:
 
 
 def moving_statistic(mu: np.ndarray, P: np.ndarray, scene: np.ndarray,
-                     scene_covariance: np.ndarray) -> float:
+                     scene_covariance: np.ndarray, nearer: float = 0.0) -> float:
     """How badly "it stands still" fits: smallest squared distance over all depths, chi2 of 3.
 
     A still surface at depth Z has rate = scene / Z. A depth known by a prior only can be wrong
     by far, so that the linear test of velocity / sigma would either see motion in it or miss
     motion that no depth explains; here the depth is free and pays for leaving its own Gaussian.
+    ``nearer`` is a standard deviation of ln Z by which it may be nearer, but not farther.
     """
-    sigma = np.sqrt(P[2, 2])
+    sigma = np.where(np.arange(81) < 40, np.sqrt(P[2, 2] + nearer**2), np.sqrt(P[2, 2]))
     offset = np.linspace(-4, 4, 81) * sigma
     gain = P[RATE, 2] / P[2, 2]
     conditional = P[RATE, RATE] - np.outer(gain, P[RATE, 2])

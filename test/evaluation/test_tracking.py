@@ -77,6 +77,14 @@ def test_obstacles_away_from_movers_are_false():
     assert figures(table(rows))['false_obstacles_per_frame'] == 3 / N
 
 
+def test_a_part_of_a_mover_is_not_false_and_a_large_box_around_it_is():
+    rows = table([(k, 5, 32) for k in range(N)])
+    small = {**rows, 'width': rows['width'] / 5, 'height': rows['height'] / 5}
+    large = {**rows, 'width': 4 * rows['width'], 'height': 4 * rows['height']}
+    assert figures(small)['false_obstacles_per_frame'] == 0
+    assert figures(large)['false_obstacles_per_frame'] == 1
+
+
 def test_obstacles_are_false_where_no_mover_is_visible():
     rows = [(k, 5, 32) for k in range(N)]
     assert figures(table(rows), movers(range(6)))['false_obstacles_per_frame'] == 14 / N

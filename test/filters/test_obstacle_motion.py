@@ -131,6 +131,16 @@ def test_moving_statistic_is_the_smallest_distance_over_all_depths(rng):
     assert om.moving_statistic(mu, P, scene, S) == pytest.approx(expected, rel=0.05, abs=0.05)
 
 
+def test_what_may_be_nearer_than_it_seems_explains_closing_but_not_receding():
+    scene, P = np.array([0.0, 0, -10.0]), np.diag([1e-4] * 2 + [4e-4] + [1e-4] * 3 + [0.1] * 2)
+    near, far = (np.r_[0, 0, np.log(10), scene / depth, 0, 0] for depth in (8.0, 12.5))
+    both = [om.moving_statistic(mu, P, scene, np.zeros((3, 3))) for mu in (near, far)]
+    assert min(both) > 50
+    one_sided = [om.moving_statistic(mu, P, scene, np.zeros((3, 3)), 0.12) for mu in (near, far)]
+    assert one_sided[0] < 5
+    assert one_sided[1] == both[1]
+
+
 def test_motion_that_no_depth_explains_counts_however_wide_the_depth_is():
     scene = np.array([0, 0, -10.0])
     P = np.diag([1e-4, 1e-4, 1.0, 1e-3, 1e-3, 1e-3, 0.1, 0.1])
