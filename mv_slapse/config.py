@@ -74,7 +74,8 @@ class DecoderSettings(Checked):
         0.6, '-', 'least share of correspondences that both halves must keep, or the segment '
         'stays whole', 0.0)
     bridge_intra: bool = setting(
-        True, '-', 'search the macroblocks of an I frame that no vector joins to the past')
+        True, '-', 'search the macroblocks of an I frame that no vectors, or few, join to the '
+        'past')
     bridge_variance: float = setting(
         1.0, '-', 'variance of a match so found, in units of a motion vector', 0.01, 100.0)
     bridge_minimum: int = setting(

@@ -17,6 +17,7 @@ from mv_slapse.records import Correspondences, SegmentKind
 import numpy as np
 
 LEARNING = 0.1  # share of the newest segment in p: what ten segments tell is not of one picture
+POOR = 0.5  # share of the usual matches at which an I frame's B frames have told too little
 RIGHT = 0.05, 0.99  # bounds of p, where Lemma 2 still has a value
 
 
@@ -30,6 +31,7 @@ class CorrespondenceDecoder:
         self._frames = FrameDecoder(with_luma=settings.bridge_intra)
         self._segments = SegmentBuilder()
         self._expect = MotionPrior()
+        self._usual = 0
 
     def feed(self, packet: Packet) -> list[Correspondences]:
         """Return the correspondences that this packet completes, often none, in order of time.
@@ -49,10 +51,15 @@ class CorrespondenceDecoder:
 
     def _pairs(self, segment: Segment) -> list[Correspondences]:
         """Merge a segment and learn from it what to expect of the next."""
-        pairs = [self._bridged(segment)] if segment.kind is SegmentKind.BROKEN else (
-            self._merged(segment))
+        if segment.kind is SegmentKind.BROKEN:
+            pairs = [self._searched(segment) or self._broken(segment)]
+        else:
+            pairs = self._merged(segment)
+        if segment.kind is SegmentKind.PI and len(pairs[0].supported()) < POOR * self._usual:
+            pairs = [self._searched(segment) or pairs[0]]
         for pair in pairs:
             self._expect.add(pair.supported())
+        self._usual = len(pairs[-1].supported()) or self._usual
         return pairs
 
     def _merged(self, segment: Segment) -> list[Correspondences]:
@@ -77,18 +84,17 @@ class CorrespondenceDecoder:
             p = float(np.clip(before + LEARNING * (p - before), *RIGHT))
             self._settings = replace(self._settings, match_probability=p)
 
-    def _bridged(self, segment: Segment) -> Correspondences:
-        """Search an I frame's macroblocks in the picture before it, or call the pair broken."""
-        if self._settings.bridge_intra and can_bridge(segment):
-            found = search(segment, self._expect, self._settings)
-            pair = average(replace(segment, kind=SegmentKind.PP), found, self._settings)
-            if len(pair.supported()) >= self._settings.bridge_minimum:
-                return pair
+    def _searched(self, segment: Segment) -> Correspondences | None:
+        """Search an I frame's macroblocks in the key frame before it; None where that fails."""
+        if not (self._settings.bridge_intra and can_bridge(segment)):
+            return None
+        found = search(segment, self._expect, self._settings)
+        pair = average(replace(segment, kind=SegmentKind.PP), found, self._settings)
+        return pair if len(pair.supported()) >= self._settings.bridge_minimum else None
+
+    def _broken(self, segment: Segment) -> Correspondences:
+        """Return a pair that tells nothing but why; what comes after it is another matter."""
         self._expect.reset()
-        return _broken(segment)
-
-
-def _broken(segment: Segment) -> Correspondences:
-    frame = segment.current
-    return Correspondences(frame.stamp, segment.previous.stamp, frame.width, frame.height,
-                           segment.kind, len(segment.between), segment.reason)
+        frame = segment.current
+        return Correspondences(frame.stamp, segment.previous.stamp, frame.width, frame.height,
+                               segment.kind, len(segment.between), segment.reason)

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+from mv_slapse.codec import decoder
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.codec.encoder import encode, Encoding, LOW_LATENCY
 from mv_slapse.config import DecoderSettings
@@ -15,8 +16,8 @@ STEP = (5, -3)
 
 
 def decoded(packets, settings=EACH):
-    decoder = CorrespondenceDecoder(settings)
-    return [pair for packet in packets for pair in decoder.feed(packet)] + decoder.flush()
+    live = CorrespondenceDecoder(settings)
+    return [pair for packet in packets for pair in live.feed(packet)] + live.flush()
 
 
 def packets(rng, encoding, n=15):
@@ -110,6 +111,19 @@ def test_still_pictures_give_zero_vectors_at_a_bounded_interval(rng):
     pairs = decoded(encode(still, 30, LOW_LATENCY), DecoderSettings())
     assert max(pair.stamp - pair.previous_stamp for pair in pairs) <= 250_000_000
     assert all(np.median(np.abs(pair.x_prev - pair.x_cur)) < 0.01 for pair in pairs)
+
+
+@pytest.mark.parametrize(('poor', 'bridge', 'kinds'), [
+    (0.5, True, ['IP', 'PP', 'PI', 'IP']), (10.0, True, ['IP', 'PP', 'PP', 'IP']),
+    (10.0, False, ['IP', 'PP', 'PI', 'IP'])])
+def test_an_i_frame_whose_b_frames_tell_too_little_is_searched(rng, monkeypatch, poor, bridge,
+                                                               kinds):
+    monkeypatch.setattr(decoder, 'POOR', poor)
+    pairs = decoded(packets(rng, MPEG2, 17), replace(EACH, split_flow=1e6, bridge_intra=bridge))
+    assert [pair.kind.name for pair in pairs] == kinds
+    frames = (pairs[2].stamp - pairs[2].previous_stamp) / 40_000_000
+    off = pairs[2].x_prev - pairs[2].x_cur - np.multiply(STEP, frames)
+    assert np.median(np.abs(off)) < 0.5
 
 
 @pytest.mark.parametrize('encoding', ENCODINGS)
