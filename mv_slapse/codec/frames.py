@@ -10,6 +10,7 @@ import numpy as np
 
 WITH_VECTORS = ('h264', 'mpeg2video', 'mpeg1video', 'mpeg4', 'h263', 'flv1')
 MAX_PIXELS = 64_000_000
+LONGEST_REORDERING = 2_000_000_000  # ns; a stamp farther back is a source that began again
 CURE = ('re-encode it, for instance with: ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 '
         'OUTPUT.mp4, or: ffmpeg -i INPUT -c:v mpeg2video -q:v 3 -bf 3 -g 12 OUTPUT.mpg')
 
@@ -134,15 +135,19 @@ class _Stamps:
 
     Some sources (raw .h264, recorders without reordering) stamp in the order of decoding. That
     is noticed when a B frame comes out before an older packet with an older stamp; from then on
-    each picture gets the oldest stamp that is left.
+    each picture gets the oldest stamp that is left. Not so where stamps have gone back a little
+    from packet to packet: these are in the order of showing, and a picture that was left over is
+    one that the decoder has thrown away.
     """
 
     def __init__(self):
         self._pending: dict[int, int] = {}
-        self._by_age = False
+        self._by_age = self._of_showing = False
+        self._last = 0
 
     def add(self, number: int, stamp: int):
-        self._pending[number] = stamp
+        self._of_showing |= 0 < self._last - stamp < LONGEST_REORDERING
+        self._pending[number] = self._last = stamp
 
     def drop(self, number: int):
         self._pending.pop(number, None)
@@ -150,7 +155,8 @@ class _Stamps:
     def take(self, number: int, kind: FrameType) -> int:
         stamps = list(self._pending.values())
         late = number != min(self._pending)
-        if kind is FrameType.B and late and stamps == sorted(set(stamps)):
+        in_order = not self._of_showing and stamps == sorted(set(stamps))
+        if kind is FrameType.B and late and in_order:
             self._by_age = True
         stamp = self._pending.pop(min(self._pending) if self._by_age else number)
         for old in [n for n in self._pending if n < number - 64]:

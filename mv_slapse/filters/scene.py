@@ -7,9 +7,11 @@ from functools import partial
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import (
     scene_gate,
+    scene_gauge,
     scene_input,
     scene_map,
     scene_observations,
+    scene_record,
     scene_rest,
     scene_state,
     scene_update,
@@ -24,8 +26,6 @@ from mv_slapse.records import (
     Label,
     MotionStatus,
     PlaneHandover,
-    ScaleStatus,
-    SceneEstimate,
     TrackingStatus,
 )
 import numpy as np
@@ -39,6 +39,7 @@ STANDING = 'the camera stands still'
 TURNING = 'the camera turns on the spot'
 SCALELESS = ('no known plane is in view: the direction of the way is observed, its length is '
              'predicted')
+TOO_LONG = 'the key frames lie too far apart for vectors: pictures between them were lost'
 CONTRADICTED = 'all known planes in view contradict the map'
 FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
 PAIR_HEIGHT = 1e-3  # share of the height by which a pair errs besides: crown and ruts
@@ -88,7 +89,8 @@ class SceneFilter:
         self._accept(handovers)
         leaving = self._release(extraction)
         status, reason = self._advance(extraction)
-        return self._estimate(extraction, status, reason), leaving
+        return scene_record.estimate(self._state, self._map.planes(self._state), extraction.stamp,
+                                     status, reason, self._progress.metric), leaving
 
     def _begin(self, extraction: Extraction):
         """Put {W} at the first key frame."""
@@ -102,15 +104,20 @@ class SceneFilter:
         follows = self._catch_up(extraction)
         dt = (extraction.stamp - self._progress.stamp) * 1e-9
         self._progress.stamp = extraction.stamp
+        reason = extraction.reason
+        if status == MotionStatus.MOVING and dt > self._settings.lost_after:
+            status, reason = MotionStatus.UNKNOWN, TOO_LONG
+        if status != MotionStatus.UNKNOWN and scene_gauge.is_vague(self._state):
+            self._begin_anew()
         if status == MotionStatus.STANDSTILL:
             return self._stand(extraction)
         if status == MotionStatus.ROTATION_ONLY:
             return self._turn(extraction, dt)
         if self._progress.supported is None and status != MotionStatus.MOVING:
-            return TrackingStatus.INITIALISING, extraction.reason
+            return TrackingStatus.INITIALISING, reason
         self._predict(dt)
         if status == MotionStatus.UNKNOWN:
-            return self._unsupported(extraction.stamp, extraction.reason)
+            return self._unsupported(extraction.stamp, reason)
         return self._correct(extraction, follows)
 
     def _catch_up(self, extraction: Extraction) -> bool:
@@ -125,6 +132,14 @@ class SceneFilter:
             self._predict(gap)
         self._progress.stamp = extraction.previous_stamp
         return False
+
+    def _begin_anew(self):
+        """Begin a new local frame where the heading has been lost: no plane's place is known."""
+        for id in list(self._state.planes):
+            self._map.leave(self._state, id)
+            self._state.remove_plane(id)
+        scene_gauge.begin_anew(self._state)
+        self._progress.anew = self._progress.started
 
     def _stand(self, extraction: Extraction):
         """Zero-velocity update: the pose stays exactly as it is, so nothing drifts."""
@@ -197,7 +212,8 @@ class SceneFilter:
 
     def _correct(self, extraction: Extraction, follows: bool):
         """Update with the pair's correspondences and with what is known of the scale."""
-        first, baseline = not self._progress.started, self._baseline(extraction)
+        first = not self._progress.started or self._progress.anew
+        self._progress.anew, baseline = False, self._baseline(extraction)
         pair, plane_id = scene_input.stationary(extraction)
         settings = self._measured(pair, extraction)
         shown = self._shown(extraction, baseline)
@@ -209,19 +225,17 @@ class SceneFilter:
         for i, id in enumerate(ids):
             index[plane_id == id] = i
         start = self._state.error_to(replace(self._state, current=shown))
-        ratio_known = (follows and self._progress.carried
-                       and bool(np.isfinite(extraction.baseline_ratio_sigma)))
-        observations = [*self._rigid(extraction, ground), *self._gauge(baseline),
-                        *self._ratio(extraction, ratio_known, settings)]
+        ratio = self._ratio(extraction, settings) if follows and self._progress.carried else []
+        observations = [*self._rigid(extraction, ground), *self._gauge(baseline), *ratio]
         self._state = scene_update.update(
             self._state, start, pair, index, ids, settings, observations)
-        if not ratio_known:
+        if not ratio:
             self._progress.carried = scene_state.begin_depth_scale(
                 self._state, settings.ratio_sigma)
         self._height = self._height.seen(self._state, extraction, settings)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
-        if first or known or ratio_known and not self.distances:
+        if first or known or ratio and not self.distances:
             self._progress.supported = extraction.stamp
             self._progress.rested, self._progress.started = False, True
             return TrackingStatus.OK, ''
@@ -305,13 +319,17 @@ class SceneFilter:
                                                  motion.t_cur_from_prev)
         return replace(self._settings, dependence=self._dependence.value)
 
-    def _ratio(self, extraction: Extraction, known: bool, settings) -> list[Observe]:
-        """Return the observation of the baseline by the one before, if it is known."""
-        if not known:
-            return []
+    def _ratio(self, extraction: Extraction, settings: SceneSettings) -> list[Observe]:
+        """Return the observation of the baseline by the one before, if it is known.
+
+        Not one that contradicts the prediction: vectors that are wrong in bulk agree in depths.
+        """
         sampling = extraction.baseline_ratio_sigma * np.sqrt(settings.depth_dependence)
-        scene_state.move_depth_scale(self._state, extraction.baseline_ratio,
-                                     float(np.hypot(sampling, settings.ratio_drift)))
+        sigma, log = float(np.hypot(sampling, settings.ratio_drift)), extraction.baseline_ratio
+        if not scene_gate.holds_ratio(self._state, log, float(np.hypot(
+                sigma, settings.ratio_sigma))):
+            return []
+        scene_state.move_depth_scale(self._state, log, sigma)
         return [partial(scene_observations.baseline_ratio, sigma=settings.ratio_sigma)]
 
     def _gauge(self, baseline: float) -> list[Observe]:
@@ -366,22 +384,3 @@ class SceneFilter:
                 self._state.remove_plane(plane.id)
                 self._map.remove(plane.id)
         return leaving
-
-    def _estimate(self, extraction, status, reason) -> SceneEstimate:
-        """Write the state down as a record."""
-        state, metric, P = self._state, self._progress.metric, self._state.error.total
-        cur = state.at('current')
-        order = np.r_[cur.start + 3:cur.stop, cur.start:cur.start + 3]
-        pose_covariance = P[np.ix_(order, order)]
-        # Errors turn about the camera's axes in the state, about those of {W} in the record.
-        turn = np.eye(6)
-        turn[3:, 3:] = state.current.R
-        rates = np.r_[state.at('velocity'), state.at('omega')]
-        source = 'camera height' if metric else 'first translation'
-        return SceneEstimate(
-            extraction.stamp, status, reason, state.current.R.copy(), state.current.t.copy(),
-            turn @ pose_covariance @ turn.T, state.velocity.copy(), state.omega.copy(),
-            P[np.ix_(rates, rates)],
-            ScaleStatus.METRIC if metric else ScaleStatus.UNKNOWN, source,
-            self._map.planes(state),
-            float(np.linalg.norm(state.current.t - state.previous.t)))

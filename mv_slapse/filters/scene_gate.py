@@ -3,6 +3,7 @@
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.filters.scene_state import (
+    log_baseline,
     plane_in_camera,
     plane_in_camera_jacobian,
     relative_motion,
@@ -11,6 +12,8 @@ from mv_slapse.filters.scene_state import (
 )
 from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
+
+RATIO_GATE = 10.8  # 99.9 % of chi-square with one degree of freedom
 
 
 def ground_of(extraction: Extraction) -> int | None:
@@ -28,6 +31,22 @@ def distances(state: SceneState, extraction: Extraction,
     """Return the squared distance of each known plane from the predicted state, by its id."""
     return {plane.id: squared_distance(state, plane, settings) for plane in extraction.planes
             if plane.label == Label.STATIONARY and plane.id in state.planes}
+
+
+def holds_ratio(state: SceneState, log_ratio: float, sigma: float) -> bool:
+    """Tell whether a ratio to the baseline before agrees with the predicted length.
+
+    Parameters
+    ----------
+    state : SceneState
+        Predicted; its ``depth_scale`` is that of the pair before.
+    log_ratio, sigma : float
+        Logarithm of the ratio and its standard deviation; an infinite one is no ratio.
+    """
+    value, H = log_baseline(state)
+    H[state.at('depth_scale')] = -1
+    variance = H @ state.error.total @ H + sigma**2
+    return bool((value - state.depth_scale - log_ratio)**2 < RATIO_GATE * variance < np.inf)
 
 
 def squared_distance(state: SceneState, plane: PlaneObservation,

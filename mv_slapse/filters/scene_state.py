@@ -15,9 +15,9 @@ import numpy as np
 CAMERA_BLOCKS = ('previous', 'current', 'velocity', 'omega')
 FAINT = 0.5  # of the log of a baseline: beyond, it may as well be none at all
 # Errors that are not estimated: turn by which all vectors err, place in their blocks that they
-# tell of, camera height.
-TURN, PLACE, HEIGHT = slice(0, 3), slice(3, 5), slice(5, 6)
-N_LASTING = HEIGHT.stop
+# tell of, camera height, pose at which the scene began anew.
+TURN, PLACE, HEIGHT, GAUGE = slice(0, 3), slice(3, 5), slice(5, 6), slice(6, 12)
+N_LASTING = GAUGE.stop
 
 
 @dataclass

@@ -33,6 +33,16 @@ def test_stamps_in_the_order_of_decoding_are_put_in_order_of_presentation(rng):
     assert [frame.stamp for frame in decoded(packets)] == [10 * i for i in range(14)]
 
 
+def test_after_lost_packets_pictures_have_their_own_stamps_again(rng):
+    """A B picture that lost its reference is thrown away: its stamp must not go to the next."""
+    packets = list(encode(pictures.sliding(rng, 60, (2, 1)), 25, Encoding('mpeg2video', 1, 12)))
+    for first in range(14, 22):
+        frames = decoded([*packets[:first], *packets[first + 15:]])
+        stamps = [frame.stamp for frame in frames if frame.stamp >= packets[first + 18].stamp]
+        assert stamps == sorted(set(stamps))
+        assert stamps[-1] == 59 * 40_000_000
+
+
 @pytest.mark.parametrize('encoding', ENCODINGS)
 def test_vectors_are_the_motion_of_the_pictures(rng, encoding):
     frames = decoded(encode(pictures.sliding(rng, 14, (3, -2)), 25, encoding))

@@ -325,3 +325,39 @@ def test_the_same_extractions_give_the_same_bits():
     for one, two in zip(*runs, strict=True):
         np.testing.assert_array_equal(one.t_world_from_cam, two.t_world_from_cam)
         np.testing.assert_array_equal(one.pose_covariance, two.pose_covariance)
+
+
+def test_a_pair_that_spans_a_gap_says_nothing_of_the_motion():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    driven(canyon, 10, filter_=filter_)
+    wrong = replace(canyon.extraction(11), stamp=stamp(25), baseline_ratio=2.0)
+    estimate, _ = filter_.step(wrong)
+    assert estimate.status is TrackingStatus.LOST
+    assert 'too far apart' in estimate.reason
+    back, _ = filter_.step(canyon.extraction(26))
+    assert back.status is TrackingStatus.OK
+
+
+def test_a_heading_that_was_lost_stays_as_uncertain_as_it_was(rng):
+    """Pairs relate cameras to each other: none of them tells how the first one turned."""
+    canyon, filter_ = Canyon(rng, 0.3), SceneFilter(METRIC)
+    before = driven(canyon, 10, filter_=filter_)[-1]
+    after = driven(canyon, 50, filter_=filter_, first=31)
+    heading = [e.pose_covariance[4, 4]**0.5 for e in after]
+    assert before.pose_covariance[4, 4]**0.5 < 0.01
+    assert min(heading) > 0.99 * heading[0] > 1.0
+    assert all(e.status is TrackingStatus.OK for e in after)
+    assert [e.baseline for e in after[5:]] == pytest.approx([0.1 * SPEED] * 15, rel=0.1)
+    assert all(nees(canyon, e, 31 + i) < 25 for i, e in enumerate(after))
+
+
+def test_a_ratio_that_the_speed_cannot_have_made_is_not_believed():
+    canyon, filter_ = Canyon(), SceneFilter(SceneSettings())
+    driven(canyon, 10, filter_=filter_)
+    wrong = canyon.extraction(11)
+    ids = [plane.id for plane in wrong.planes]
+    for id_ in ids:
+        wrong = without(wrong, id_)
+    wrong = replace(wrong, baseline_ratio=2.5)
+    estimate, _ = filter_.step(wrong)
+    assert estimate.baseline == pytest.approx(1, rel=0.1)
