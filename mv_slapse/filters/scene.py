@@ -107,7 +107,9 @@ class SceneFilter:
         reason = extraction.reason
         if status == MotionStatus.MOVING and dt > self._settings.lost_after:
             status, reason = MotionStatus.UNKNOWN, TOO_LONG
-        if status != MotionStatus.UNKNOWN and scene_gauge.is_vague(self._state):
+        # Where the scale is free, planes seen before the loss are all that holds it.
+        if (status != MotionStatus.UNKNOWN and self._progress.metric
+                and scene_gauge.is_vague(self._state)):
             self._begin_anew()
         if status == MotionStatus.STANDSTILL:
             return self._stand(extraction)
