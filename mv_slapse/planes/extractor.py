@@ -291,9 +291,10 @@ class PlaneExtractor:
         planes = [replace(plane, plane=value,
                           covariance=covariance[6 + 3 * i:9 + 3 * i, 6 + 3 * i:9 + 3 * i])
                   for i, (plane, value) in enumerate(zip(planes, values, strict=True))]
-        # What leans over once no prior holds it was not well seen.
-        mount = self._memory.ground.mount
-        planes = [plane for plane in planes if not plane.is_ground or mount.holds(plane.plane)]
+        # What leans over once no prior holds it was not well seen, nor what many pairs contradict.
+        mount, height = self._memory.ground.mount, self._memory.height
+        planes = [plane for plane in planes if not plane.is_ground or (
+            mount.holds(plane.plane) and height.allows(plane.plane))]
         evidence = labeling.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
                                      settings.relief)
         return Found(fit, evidence, planes, found.moving, found.doubtful)

@@ -81,6 +81,16 @@ def test_blocks_that_lie_together_tell_as_much_as_one(rng):
     assert together > 1.5 * apart
 
 
+def test_a_ground_that_many_pairs_contradict_is_none():
+    p = np.exp(-0.5 * np.square((GRID - np.log(1.3)) / 0.03))
+    belief, up = HeightBelief(p / p.sum()), np.array([0.0, -1.0, 0.0])
+    assert belief.allows(up / 1.3)
+    assert belief.allows(up / 1.4)
+    assert not belief.allows(up / 1.6)
+    assert not belief.allows(up / 1.05)
+    assert HeightBelief.blank().allows(up / 30)
+
+
 @pytest.mark.parametrize('log_ratio', [-0.7, 0.0, 0.3])
 def test_a_longer_baseline_makes_the_height_smaller(rng, log_ratio):
     belief = seen(HeightBelief.blank(), road(rng, 1.3, 40))
