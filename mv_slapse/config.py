@@ -103,8 +103,8 @@ class ExtractionSettings(Checked):
         3.0, 'sigma', 'largest error of a block on the ground, along its epipolar line', 0.5, 20.0)
     min_macroblocks: int = setting(20, '-', 'smallest plane, section VII-A of [SLAPSE]', 4)
     moving_score: float = setting(
-        16.0, '-', 'squared distance from anything stationary, summed over key frames, at which a '
-        'region is called moving: no pair tells more than 12, so that two agree', 1.0)
+        13.0, '-', 'squared distance from anything stationary, summed over key frames, at which a '
+        'region is called moving: no pair tells more than 10, so that two agree', 1.0)
     max_planes: int = setting(8, '-', 'most stationary planes of a key frame', 1, 64)
     max_uncertainty: float = setting(
         0.055, '-', 'standard deviation of a plane n / d, as a share of it, at which it is '

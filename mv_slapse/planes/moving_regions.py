@@ -14,6 +14,7 @@ from mv_slapse.geometry import epipolar, moving_plane
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice
+from mv_slapse.planes.mover_memory import FIRST_ID, Memory
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
 from mv_slapse.planes.region_scores import Blocks, outlines, scores, Seen
 from mv_slapse.records import Extraction, Label, PlaneObservation
@@ -22,7 +23,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-FIRST_ID = 100_000  # moving planes have ids of their own, from here on
 REACH = 24.0  # px between centres of neighbours
 ALIKE = (1.0, 0.12)  # px, share of the longer one: by how much neighbours' vectors may differ
 ALIKE_SHORT = 0.15  # share of the median vector that the former is at most, down to a half
@@ -37,27 +37,6 @@ LEAST_GROUND = 20  # blocks that show the ground to be where it is expected
 FAR = 1.5  # px of parallax, less is far off,
 RESTING = 0.75  # px, or rests where the camera stands
 FADING = 0.85  # of the score from pair to pair
-SCALE, ZERO = 100, 10_000  # of scores in a grid of integers
-
-
-@dataclass(frozen=True)
-class Memory:
-    """What the previous key frame showed, cell by cell.
-
-    Attributes
-    ----------
-    stamp : int or None
-    score : array or None
-        Accumulated score of each cell, SCALE for 1 and ZERO for 0; -1: no block was there.
-    id : array or None
-        Moving region that held each cell, -1 for none.
-    next_id : int
-    """
-
-    stamp: int | None = None
-    score: np.ndarray | None = None
-    id: np.ndarray | None = None
-    next_id: int = FIRST_ID
 
 
 @dataclass(frozen=True)
@@ -117,25 +96,22 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     motion_field = _motion_field(extraction, ground, level if ground is None else ground)
     members = _alike(motion_field)
     found = _fitted(extraction, motion_field, members)
-    score, before = _inherited(extraction, memory)
+    score, before = memory.inherited(extraction)
     total = _scored(extraction, motion_field, found) + FADING * _better_half(
         members, score)
     known = _majority(members, before)
     known = np.where(known >= 0, known, _covered(members, extraction))
     ids, next_id = _named(members, total, known, memory.next_id, threshold)
     # What is in no region this time is not forgotten at once.
-    score, before = FADING * np.nan_to_num(score) * ~motion_field.ground_like, np.full(
-        len(before), -1)
+    score = FADING * np.nan_to_num(score) * ~motion_field.ground_like
+    before = np.full(len(before), -1)
     for member, total_, id_ in zip(members, total, ids, strict=True):
         score[member], before[member] = total_, id_
-    grids = [lattice.paint(extraction.width, extraction.height, extraction.x_cur,
-                           extraction.block, values)
-             for values in (np.round(SCALE * np.clip(score, -99, 999)) + ZERO, before)]
     moving = sorted(np.flatnonzero(ids >= 0), key=lambda i: -len(members[i]))
     planes = {int(ids[i]): (members[i], _plane(extraction, motion_field, found, i))
               for i in moving}
     return (_labelled(extraction, motion_field, planes),
-            Memory(extraction.stamp, *grids, next_id))
+            memory.after(extraction, score, before, next_id, FADING))
 
 
 def _motion_field(extraction, ground, level):
@@ -157,15 +133,6 @@ def _motion_field(extraction, ground, level):
     below = rho + 2 * noise < BELOW_GROUND * under
     return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far, below,
                   extraction.plane_id, ground, level, Seen(x, rho, noise, under))
-
-
-def _inherited(extraction, memory):
-    """Return score (nan: unknown) and id (-1: none) of the place that each block comes from."""
-    if memory.score is None or memory.stamp != extraction.previous_stamp:
-        return np.full(len(extraction.x_cur), np.nan), np.full(len(extraction.x_cur), -1)
-    x = extraction.x_prev.astype(float)
-    score = lattice.lookup(memory.score, x)
-    return np.where(score < 0, np.nan, (score - ZERO) / SCALE), lattice.lookup(memory.id, x)
 
 
 def _alike(motion_field):

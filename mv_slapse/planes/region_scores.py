@@ -32,14 +32,15 @@ LEAST_FILLED = 0.4  # share of its box that a vehicle's blocks cover
 RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane,
 WIDE = 250.0  # px, if it is as wide as this
 LEAST_RATIO = 1.2  # of apparent over ground's inverse depth at which something may hover
-CLEARANCE = 0.12  # logarithm of that ratio where bodies end above the ground: 0.2 m of 1.65 m
+CLEARANCE = 0.06  # logarithm of that ratio: what is left when the next is taken off
 OUTLIER = 0.05  # density of a wrong vector's depth, to the peak of a right one's
+UNDERBODY = 0.25  # share of the camera's height above the ground where bodies end: 0.4 m of 1.65
 LEAST_REACH = 28.0  # px below a region in which the ground is looked for
 SHOWN = 0.3  # share of this place that ground covers if it is surely there
 UNSEEN = 8.0  # largest score of what looks below the ground, where that is not seen
 DEPENDENCE = 2.0  # blocks below or above a region that tell as much as one
-BORDER = 16.0  # px of the picture's left and right border: what it cuts may be of any width
-STEP = 12.0  # largest part of the score of one pair,
+BORDER = 48.0  # px from the left and right end of the picture: what they cut may be of any width
+STEP = 10.0  # largest part of the score of one pair,
 BACK = -5.0  # and smallest
 
 
@@ -203,10 +204,19 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
 def _hovers(outline, i, at_foot, sigma, seen):
     """Return the squared distance of a region from all that stands on the ground."""
     ratio = at_foot / outline.under[i]
+    above = max(np.log(_body_end(ratio * outline.drop[i]) / outline.drop[i]), 0.0)
     # Where the ground is seen below it is known: only the edge is not.
     spread = np.sqrt((EDGE_SIGMA / outline.drop[i])**2 + GROUND_SIGMA**2
                      + (sigma / at_foot)**2 + CLEARANCE**2)
-    return min((np.log(ratio) / spread)**2 - 1, _ground_below(outline, i, ratio, seen))
+    return min((above / spread)**2 - 1, _ground_below(outline, i, ratio, seen))
+
+
+def _body_end(drop):
+    """Return how far below the horizon bodies end that stand ``drop`` [px] below it.
+
+    The ground shows below the body of what is near; of what is far, shadow and wheels hide it.
+    """
+    return drop - max(UNDERBODY * drop - lattice.MACROBLOCK, 0.0)
 
 
 def _may_hover(outline):
@@ -275,7 +285,8 @@ def _ground_below(outline, i, ratio, seen):
     """
     across = np.abs(seen.x[:, 0] - outline.foot[i, 0]) < 0.5 * outline.size[i, 0]
     below = seen.x[:, 1] - outline.foot[i, 1]
-    reach = max((ratio - 1) * outline.drop[i], LEAST_REACH)
+    drop = outline.drop[i]
+    reach = max((_body_end(ratio * drop) if ratio > 1 else ratio * drop) - drop, LEAST_REACH)
     at = np.flatnonzero(across & (below > 0) & (below < reach))
     under = seen.under[at]
     near = ratio * (outline.under[i] if ratio > 1 else under)

@@ -1,0 +1,107 @@
+"""What is known of the blocks of past key frame pairs: how they scored, which mover they were.
+
+A block's history follows its vector. Where a vehicle has none in a pair, as where an I frame
+codes it anew, its history goes on as it last moved, or each I frame would find it again.
+"""
+
+from dataclasses import dataclass, field, replace
+
+from mv_slapse.planes import lattice
+from mv_slapse.records import Extraction
+import numpy as np
+
+FIRST_ID = 100_000  # moving planes have ids of their own, from here on
+LIFETIME = 500_000_000  # [ns] for which a block is remembered without a vector
+SECOND = 1e9  # [ns]
+
+
+def _none(*columns: int, dtype: type = float) -> np.ndarray:
+    return field(default_factory=lambda: np.zeros((0, *columns), dtype))
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Blocks of the key frame at ``stamp``; later ones hide earlier ones.
+
+    Attributes
+    ----------
+    stamp : int or None
+        [ns].
+    x, block : (N, 2), (N, 2) float64
+        Centres and sizes [px].
+    velocity : (N, 2) float64
+        In the picture [px/s].
+    score : (N,) float64
+        Summed over key frame pairs.
+    id : (N,) int
+        Moving region that each belongs to, -1 for none.
+    seen : (N,) int
+        When each had a vector [ns].
+    next_id : int
+        For a region that is new.
+    """
+
+    stamp: int | None = None
+    x: np.ndarray = _none(2)
+    block: np.ndarray = _none(2)
+    velocity: np.ndarray = _none(2)
+    score: np.ndarray = _none()
+    id: np.ndarray = _none(dtype=int)
+    seen: np.ndarray = _none(dtype=int)
+    next_id: int = FIRST_ID
+
+    def at(self, stamp: int) -> 'Memory':
+        """Return it for a later key frame [ns]: blocks go on as they moved, old ones go."""
+        if self.stamp is None or stamp < self.stamp:
+            return Memory(stamp, next_id=self.next_id)
+        moved = self.x + self.velocity * ((stamp - self.stamp) / SECOND)
+        return replace(self, stamp=stamp, x=moved).only(stamp - self.seen < LIFETIME)
+
+    def only(self, kept: np.ndarray) -> 'Memory':
+        """Return it with some blocks only, (N,) bool."""
+        return replace(self, x=self.x[kept], block=self.block[kept],
+                       velocity=self.velocity[kept], score=self.score[kept], id=self.id[kept],
+                       seen=self.seen[kept])
+
+    def inherited(self, extraction: Extraction) -> tuple[np.ndarray, np.ndarray]:
+        """Return score (N,), nan: unknown, and id (N,), -1: none, that blocks come from."""
+        at = self.at(extraction.previous_stamp)
+        at = at.only(_inside(at.x, extraction))
+        if not len(at.x):
+            n = len(extraction.x_cur)
+            return np.full(n, np.nan), np.full(n, -1)
+        grid = lattice.paint(extraction.width, extraction.height, at.x, at.block,
+                             np.arange(len(at.x)))
+        source = lattice.lookup(grid, extraction.x_prev.astype(float))
+        return (np.where(source < 0, np.nan, at.score[source]),
+                np.where(source < 0, -1, at.id[source]))
+
+    def after(self, extraction: Extraction, score: np.ndarray, id_: np.ndarray, next_id: int,
+              fading: float) -> 'Memory':
+        """Return what is known after a pair.
+
+        Parameters
+        ----------
+        extraction : Extraction
+        score, id_ : (N,), (N,) arrays
+            Of its blocks.
+        next_id : int
+        fading : float
+            Share of their score that blocks without a vector keep.
+        """
+        x, block = extraction.x_cur.astype(float), extraction.block.astype(float)
+        seconds = (extraction.stamp - extraction.previous_stamp) / SECOND
+        old = self.at(extraction.stamp)
+        old = old.only(_inside(old.x, extraction))
+        covered = lattice.paint(extraction.width, extraction.height, x, block,
+                                np.zeros(len(x), int))
+        old = old.only(lattice.lookup(covered, old.x) < 0)
+        seen = np.full(len(x), extraction.stamp)
+        return Memory(extraction.stamp, *(np.concatenate(pair) for pair in (
+            (old.x, x), (old.block, block), (old.velocity, (x - extraction.x_prev) / seconds),
+            (fading * old.score, score), (old.id, id_), (old.seen, seen))), next_id)
+
+
+def _inside(x: np.ndarray, extraction: Extraction) -> np.ndarray:
+    """Return which pixels (N, 2) lie in the picture."""
+    return np.all((x >= -0.5) & (x < (extraction.width - 0.5, extraction.height - 0.5)), axis=1)
