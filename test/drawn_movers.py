@@ -106,7 +106,7 @@ class Drive:
         error = 1 + (self.scale_sigma * rng.normal() if rng is not None else 0)
         velocity = (t - self.pose(before)[1]) / (now - before)
         ground = MapPlane(0, np.array([0.0, -1, 0]), CAMERA_HEIGHT, 1e-6 * np.eye(4),
-                          np.zeros((0, 3)), 0, 0, 1, 100, True)
+                          np.zeros((0, 3)), 0, nanoseconds(now), 1, 100, True)
         twist = np.diag([(self.scale_sigma * max(self.speed, 0.1))**2] * 3 + [1e-8] * 3)
         return SceneEstimate(
             nanoseconds(now), TrackingStatus.OK, '', R, t, 1e-6 * np.eye(6), velocity,

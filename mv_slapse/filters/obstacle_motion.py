@@ -157,14 +157,20 @@ def moving_statistic(mu: np.ndarray, P: np.ndarray, scene: np.ndarray,
     A still surface at depth Z has rate = scene / Z. A depth known by a prior only can be wrong
     by far, so that the linear test of velocity / sigma would either see motion in it or miss
     motion that no depth explains; here the depth is free and pays for leaving its own Gaussian.
-    ``nearer`` is a standard deviation of ln Z by which it may be nearer, but not farther.
+    ``nearer`` is a standard deviation of ln Z by which it may be nearer, but not farther. The
+    scene's speed is wrong by a factor, as the depth is: however unsure, it is not zero.
     """
-    sigma = np.where(np.arange(81) < 40, np.sqrt(P[2, 2] + nearer**2), np.sqrt(P[2, 2]))
+    speed = max(np.linalg.norm(scene), 1e-12)
+    ahead = scene / speed
+    along = ahead @ scene_covariance @ ahead
+    variance = P[2, 2] + along / speed**2
+    sigma = np.where(np.arange(81) < 40, np.sqrt(variance + nearer**2), np.sqrt(variance))
     offset = np.linspace(-4, 4, 81) * sigma
-    gain = P[RATE, 2] / P[2, 2]
+    gain = P[RATE, 2] / variance
     conditional = P[RATE, RATE] - np.outer(gain, P[RATE, 2])
     inverse_depth = np.exp(-(mu[2] + offset))[:, None]
     error = mu[RATE] + offset[:, None] * gain - inverse_depth * scene
-    S = conditional + inverse_depth[:, :, None]**2 * scene_covariance
+    aside = scene_covariance - along * np.outer(ahead, ahead)
+    S = conditional + inverse_depth[:, :, None]**2 * aside
     distance = np.einsum('ni,ni->n', error, np.linalg.solve(S, error[:, :, None])[:, :, 0])
     return float(np.min(distance + (offset / sigma)**2))

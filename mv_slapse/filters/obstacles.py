@@ -61,7 +61,7 @@ class ObstacleTracker:
         """
         if self._scene is not None and extraction.stamp <= self._scene.stamp:
             return self._obstacles(self._scene.stamp), []
-        view = view_of(extraction, scene, self._scene)
+        view = view_of(extraction, scene, self._scene, self._view)
         self._predict(extraction, scene, view)
         self._scene, self._view = scene, view
         owners = {track.plane_id: track.id for track in self._tracks}

@@ -9,6 +9,7 @@ import numpy as np
 UNSCALED_SPEED = 0.1  # 1 m/s as a share of the camera's speed, where no scale is known
 TALLEST = 5.0  # [m] a lorry of 4 m, seen to a macroblock or so
 TALLEST_UNSCALED = 3.0  # the same in camera heights
+OUT_OF_SIGHT = 0.2  # [s] a pair or two without ground; up to then the map knows better
 LEAST_SPEED_ERROR = 0.01  # share of the camera's speed, if its filter claims to know better
 
 
@@ -79,8 +80,9 @@ class View:
         return _moved(plane_cam, self.R_world_from_cam, self.t_world_from_cam)
 
 
-def view_of(extraction: Extraction, scene: SceneEstimate, before: SceneEstimate | None) -> View:
-    """Return the View of a key frame.
+def view_of(extraction: Extraction, scene: SceneEstimate, before: SceneEstimate | None,
+            last: View | None = None) -> View:
+    """Return the View of a key frame; ``before`` and ``last`` are of the key frame before.
 
     The pair's own motion counts, with the scene filter's baseline as its length. Where the pair
     tells nothing the motion comes from the poses. A baseline of 0 (standing camera) leaves the
@@ -94,7 +96,7 @@ def view_of(extraction: Extraction, scene: SceneEstimate, before: SceneEstimate 
         R, t = relative_motion(before, scene)
     return View(extraction.K, scene.R_world_from_cam, scene.t_world_from_cam, R, t, dt, unit,
                 t / dt, _scene_covariance(t / dt, unit / dt, motion.covariance[3:, 3:], scene),
-                motion.covariance[:3, :3], *_ground(scene),
+                motion.covariance[:3, :3], *_ground(scene, last),
                 np.array([extraction.width, extraction.height], float),
                 scene.scale_status is ScaleStatus.METRIC)
 
@@ -127,12 +129,19 @@ def _scene_covariance(velocity, per_direction, direction_covariance, scene):
             + along * np.outer(velocity, velocity) / speed**2)
 
 
-def _ground(scene):
-    """Return the map's ground plane n / d in the camera, or None, and its normal's covariance."""
+def _ground(scene, last):
+    """Return the map's ground plane n / d in the camera, or None, and its normal's covariance.
+
+    A ground that is out of sight stays where the camera had it last: by a course that is wrong by
+    a degree a path would run into it within seconds.
+    """
     R = scene.R_world_from_cam
     for plane in scene.planes:
         depth = plane.depth + plane.normal @ scene.t_world_from_cam
         if plane.is_ground and abs(depth) > 1e-6:
+            unseen = 1e-9 * (scene.stamp - plane.last_stamp) > OUT_OF_SIGHT
+            if unseen and last is not None and last.ground is not None:
+                return last.ground, last.ground_normal_covariance
             return (planes.from_normal_depth(R.T @ plane.normal, depth),
                     R.T @ plane.covariance[:3, :3] @ R)
     return None, np.zeros((3, 3))

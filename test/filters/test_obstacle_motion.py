@@ -118,17 +118,29 @@ def test_a_still_surface_at_any_depth_has_no_moving_statistic(rng):
 def test_moving_statistic_is_the_smallest_distance_over_all_depths(rng):
     scene, S = np.array([0.5, 0, -10.0]), 0.1 * np.eye(3)
     mu, P = random_state(rng), random_covariance(rng, scale=0.1)
+    ahead = scene / np.linalg.norm(scene)
+    variance = P[2, 2] + 0.1 / (scene @ scene)  # of the depth, and of the speed as a factor
 
     def distance(log_depth):
         offset = log_depth - mu[2]
-        gain = P[om.RATE, 2] / P[2, 2]
+        gain = P[om.RATE, 2] / variance
         error = mu[om.RATE] + gain * offset - scene / np.exp(log_depth)
-        C = P[om.RATE, om.RATE] - np.outer(gain, gain) * P[2, 2] + S / np.exp(2 * log_depth)
-        return error @ np.linalg.solve(C, error) + offset**2 / P[2, 2]
-    starts = mu[2] + np.linspace(-3, 3, 13) * np.sqrt(P[2, 2])
+        C = P[om.RATE, om.RATE] - np.outer(gain, P[om.RATE, 2]) + (
+            S - 0.1 * np.outer(ahead, ahead)) / np.exp(2 * log_depth)
+        return error @ np.linalg.solve(C, error) + offset**2 / variance
+    starts = mu[2] + np.linspace(-3, 3, 13) * np.sqrt(variance)
     expected = min(minimize(lambda x: distance(x[0]), [s], method='Nelder-Mead').fun
                    for s in starts)
     assert om.moving_statistic(mu, P, scene, S) == pytest.approx(expected, rel=0.05, abs=0.05)
+
+
+def test_a_speed_that_is_unsure_is_still_not_zero():
+    scene, P = np.array([0.0, 0, -10.0]), np.diag([1e-4] * 2 + [0.01] + [1e-3] * 3 + [0.1] * 2)
+    with_us = np.r_[0, 0, np.log(20), 0, 0, 0, 0, 0]
+    faster = np.r_[0, 0, np.log(20), scene / 20 * 1.3, 0, 0]
+    unsure = np.diag([0.0, 0, 3.0])**2
+    assert om.moving_statistic(with_us, P, scene, unsure) > 30
+    assert om.moving_statistic(faster, P, scene, unsure) < 2
 
 
 def test_what_may_be_nearer_than_it_seems_explains_closing_but_not_receding():

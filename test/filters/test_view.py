@@ -55,6 +55,17 @@ def test_ground_is_under_the_camera(pair):
     assert view_of(extraction, replace(scene, planes=()), None).ground is None
 
 
+def test_ground_out_of_sight_stays_where_the_camera_had_it(pair):
+    extraction, scene = pair
+    last = view_of(*pair, None)
+    sunk = replace(scene, t_world_from_cam=scene.t_world_from_cam + (0.0, 1.0, 0.0))
+    for unseen, height in ((0.1, CAMERA_HEIGHT - 1), (0.3, CAMERA_HEIGHT)):
+        late = replace(sunk, stamp=scene.stamp + round(unseen * 1e9))
+        ground = view_of(extraction, late, None, last).ground
+        assert 1 / np.linalg.norm(ground) == pytest.approx(height)
+    assert view_of(extraction, replace(late, planes=()), None, last).ground is None
+
+
 def test_planes_change_frame_and_back_with_numerical_jacobians(pair, rng):
     view = view_of(*pair, None)
     plane = rng.normal(0, 0.1, 3)
