@@ -20,7 +20,7 @@ from mv_slapse.filters.scene_state import (
     SceneState,
     TURN,
 )
-from mv_slapse.geometry import two_view
+from mv_slapse.geometry import rotation, two_view
 import numpy as np
 
 
@@ -116,6 +116,5 @@ def _displaced(R, t, planes) -> np.ndarray:
     By one focal length to the right, or down. All of the picture is then displaced, but for what
     its size makes of second order, as if the camera looked the other way by that angle.
     """
-    angles = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    return np.array([np.r_[R @ q - q, -np.cross(q, t), -np.cross(q, planes).ravel()]
-                     for q in angles]).T
+    angles = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
+    return np.vstack([R - np.eye(3), *map(rotation.skew, (t, *planes))]) @ angles
