@@ -80,6 +80,7 @@ def chain(newer: Correspondences, older: Correspondences,
         vector = (newer.x_prev - newer.x_cur)[lone]
         limit = settings.agreement_slack + STEADY * np.hypot(*vector.T)
         known[lone] &= np.hypot(*(motion[lone] - vector).T) < limit
+        known &= np.any(known & ~lone)  # or none would be lone any more
     x_cur, x_prev = newer.x_cur[known], newer.x_prev[known] + motion[known]
     sigma = np.sqrt(newer.sigma[known] ** 2 + variance[known])
     return replace(newer, previous_stamp=older.previous_stamp, kind=SegmentKind.CHAINED,

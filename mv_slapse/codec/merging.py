@@ -92,7 +92,8 @@ def average(segment: Segment, evidence: Evidence, settings: DecoderSettings,
     direct = not segment.between and not is_ambiguous(segment)
     x, vector, variance, lone = _chosen(evidence, frame.width, frame.height, settings, field,
                                         not is_ambiguous(segment))
-    if not (direct and settings.lone_probability):
+    # Among nothing but lone vectors none is lone: they are noise.
+    if not (direct and settings.lone_probability) or lone.all():
         x, vector, variance, lone = x[~lone], vector[~lone], variance[~lone], lone[~lone]
     chance = existence(segment.kind, len(segment.between), settings.match_probability)
     return Correspondences(

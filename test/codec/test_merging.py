@@ -217,6 +217,15 @@ def test_a_lone_vector_over_several_pictures_says_nothing(n_b, references, share
     assert not pair.lone.any()
 
 
+def test_nothing_but_lone_vectors_is_nothing(rng):
+    evidence = lattice(linear)
+    evidence.vector[:] = rng.uniform(-40, 40, evidence.vector.shape)
+    few = merging._chosen(evidence, WIDTH, HEIGHT, SETTINGS, None, True)
+    assert few[-1].all()
+    assert len(few[-1]) > 60
+    assert len(merging.average(segment_of(evidence), evidence, SETTINGS)) == 0
+
+
 def test_a_lone_zero_vector_is_no_evidence():
     evidence = lattice(lambda x: linear(x) + 9)
     evidence.vector[33] = 0
