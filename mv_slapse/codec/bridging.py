@@ -11,10 +11,10 @@ from mv_slapse.codec.evidence import Evidence
 from mv_slapse.codec.prior import at, MotionPrior
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.records import FrameType
 import numpy as np
 
-MACROBLOCK = 16  # px
 RETURN = 0.5  # px, how near the search back must end to where the search began
 LEVELS = 3
 FLAT = 1e-4  # smallest eigenvalue of a macroblock that has texture in two directions

@@ -9,11 +9,11 @@ from dataclasses import replace
 
 from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry import rotation
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import Camera, to_rays, undistort
 from mv_slapse.records import Correspondences, SegmentKind
 import numpy as np
 
-MACROBLOCK = 16  # px
 SAMPLE = 400  # correspondences that are enough to measure the parallax
 ROUNDS = 4  # of reweighting
 NANOSECONDS = 1e9

@@ -6,10 +6,9 @@ from mv_slapse.codec.motion_vectors import FrameVectors, FUTURE, PAST
 from mv_slapse.codec.prior import at
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
+from mv_slapse.geometry.blocks import CELL
 from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
-
-CELL = 8  # px, the smallest block that FFmpeg tells
 
 
 @dataclass(frozen=True)

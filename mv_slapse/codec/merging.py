@@ -7,10 +7,10 @@ from mv_slapse.codec.evidence import collect, Evidence, is_ambiguous, of_one_int
 from mv_slapse.codec.prior import at, MotionPrior
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.records import Correspondences, SegmentKind
 import numpy as np
 
-MACROBLOCK = 16  # px
 DEPTH = 8  # pieces of evidence looked at for each macroblock
 TYPICAL_VOTES = np.float32(5)  # at which a vector is as good as the stream's sigma says
 STANDING = 0.5  # share of vectors that are not zero below which the camera may be standing

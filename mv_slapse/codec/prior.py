@@ -1,10 +1,10 @@
 """The motion field of the pairs before, as the expectation for the next one."""
 
 import cv2
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.records import Correspondences
 import numpy as np
 
-MACROBLOCK = 16  # px
 FORGET = 0.5  # share of the older field that stays where there is a newer one
 SAMPLE = 600  # vectors that are enough to find the shift
 TRIM = (64.0, 24.0, 12.0, 12.0)  # px, about the shift

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.records import Correspondences, Label, SegmentKind
 from mv_slapse.simulation.street import Street
 from mv_slapse.simulation.surfaces import cast, FIRST_MOVER, SKY
 import numpy as np
 
-BLOCK = 16
 SEARCH = 16.0   # an outlier lies at most so far from the truth, in each coordinate [px]
 
 
@@ -60,14 +60,14 @@ def draw(street: Street, i: int, j: int, rng: np.random.Generator, sigma: float 
         street.stamp(j), street.stamp(i), street.camera.width, street.camera.height,
         SegmentKind.PP, max(0, abs(j - i) - 1), '', x_cur.astype(np.float32),
         (x_true + error).astype(np.float32), np.full(n, max(sigma, 1e-3), np.float32),
-        np.full(n, 1 - outliers, np.float32), np.full((n, 2), BLOCK, np.uint8))
+        np.full(n, 1 - outliers, np.float32), np.full((n, 2), MACROBLOCK, np.uint8))
     return DrawnPair(pair, labels(street, surface, street.time(j)), surface, outlier, x_true)
 
 
 def block_centres(width: int, height: int) -> np.ndarray:
     """Return the centres (M, 2) of the macroblocks, row by row [px]."""
-    x, y = np.meshgrid(np.arange(width // BLOCK), np.arange(height // BLOCK))
-    return BLOCK * np.c_[x.ravel(), y.ravel()] + (BLOCK - 1) / 2
+    x, y = np.meshgrid(np.arange(width // MACROBLOCK), np.arange(height // MACROBLOCK))
+    return MACROBLOCK * np.c_[x.ravel(), y.ravel()] + (MACROBLOCK - 1) / 2
 
 
 def labels(street: Street, surface: np.ndarray, time: float) -> np.ndarray:

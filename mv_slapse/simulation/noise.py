@@ -8,10 +8,11 @@ their block, and some are plainly wrong. The road itself is not at the same heig
 from dataclasses import dataclass, replace
 
 from mv_slapse.config import Checked, setting
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.geometry.rotation import exp
 from mv_slapse.records import Correspondences
-from mv_slapse.simulation.drawn import BLOCK, draw, DrawnPair, match, SEARCH
+from mv_slapse.simulation.drawn import draw, DrawnPair, match, SEARCH
 from mv_slapse.simulation.street import Street
 from mv_slapse.simulation.surfaces import SKY
 import numpy as np
@@ -102,11 +103,11 @@ class NoisyVectors:
     def _common(self, x: np.ndarray) -> np.ndarray:
         """Return unit errors (N, 2) that neighbouring blocks have partly in common."""
         camera, share = self._street.camera, self._noise.together
-        rows, columns = camera.height // BLOCK, camera.width // BLOCK
+        rows, columns = camera.height // MACROBLOCK, camera.width // MACROBLOCK
         wide = self._rng.normal(size=(rows + 2, columns + 2, 2))
         smooth = 3 * ndimage.uniform_filter(wide, (3, 3, 0))[1:-1, 1:-1]
         own = self._rng.normal(size=smooth.shape)
-        cell = (x // BLOCK).astype(int)
+        cell = (x // MACROBLOCK).astype(int)
         return (np.sqrt(1 - share) * own + np.sqrt(share) * smooth)[cell[:, 1], cell[:, 0]]
 
     def _share(self, surface: np.ndarray) -> np.ndarray:

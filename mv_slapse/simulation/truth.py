@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import cv2
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.records import Label
-from mv_slapse.simulation.drawn import BLOCK, block_centres, labels
+from mv_slapse.simulation.drawn import block_centres, labels
 from mv_slapse.simulation.flight import Flight
 from mv_slapse.simulation.render import Renderer
 from mv_slapse.simulation.street import Plane, Street
@@ -110,16 +111,16 @@ def block_surfaces(surface: np.ndarray) -> np.ndarray:
 
     ``surface`` (H, W) int is that of each pixel; blocks cut by the border do not count.
     """
-    rows, columns = surface.shape[0] // BLOCK, surface.shape[1] // BLOCK
-    whole = surface[:rows * BLOCK, :columns * BLOCK] - SKY
+    rows, columns = surface.shape[0] // MACROBLOCK, surface.shape[1] // MACROBLOCK
+    whole = surface[:rows * MACROBLOCK, :columns * MACROBLOCK] - SKY
     ids = np.flatnonzero(np.bincount(whole.ravel()))   # np.unique would sort all pixels
     number = np.zeros(ids[-1] + 1, int)
     number[ids] = np.arange(len(ids))
-    tiled = number[whole].reshape(rows, BLOCK, columns, BLOCK).swapaxes(1, 2)
-    tiled = tiled.reshape(-1, BLOCK ** 2)
+    tiled = number[whole].reshape(rows, MACROBLOCK, columns, MACROBLOCK).swapaxes(1, 2)
+    tiled = tiled.reshape(-1, MACROBLOCK ** 2)
     cell = np.arange(len(tiled))[:, None] * len(ids) + tiled
     counts = np.bincount(cell.ravel(), minlength=len(tiled) * len(ids)).reshape(-1, len(ids))
-    return np.where(counts.max(1) > BLOCK ** 2 / 2, ids[counts.argmax(1)] + SKY, NONE)
+    return np.where(counts.max(1) > MACROBLOCK ** 2 / 2, ids[counts.argmax(1)] + SKY, NONE)
 
 
 def mover_truths(street: Street, i: int, surface: np.ndarray,

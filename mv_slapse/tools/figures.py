@@ -9,13 +9,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from mv_slapse.evaluation import detection, planes, trajectory
 from mv_slapse.evaluation.truth import LabelTable, Truth
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.records import Label
 from mv_slapse.tools.eval import Results
 import numpy as np
 
 TRUE, FOUND, MOVER, CALM = '#8c8c8c', '#0072b2', '#d55e00', '#009e73'   # told apart by everybody
 LABEL_COLOURS = {Label.STATIONARY: CALM, Label.MOVING: MOVER, Label.INFINITY: '#56b4e9'}
-BLOCK = 16
 WIDE = 45.0   # farther to the side nothing is drawn [m]
 NEAR, AHEAD = 60.0, 30.0   # ranges beyond are cut; drawn past the last pose [m]
 
@@ -228,8 +228,8 @@ def _range(table: detection.Table, path: trajectory.Trajectory, rows: np.ndarray
 
 def _blocks(labels: LabelTable, row: int, label: Label, colour: str) -> PatchCollection:
     """Return the macroblocks of a label as patches."""
-    corner = np.c_[labels.x, labels.y][labels.label[row] == label] - BLOCK / 2
-    square = BLOCK * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    corner = np.c_[labels.x, labels.y][labels.label[row] == label] - MACROBLOCK / 2
+    square = MACROBLOCK * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     return PatchCollection([Polygon(at + square) for at in corner], fc=colour, ec='none',
                            alpha=0.45 if label == Label.MOVING else 0.22)
 
