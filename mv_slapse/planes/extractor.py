@@ -94,8 +94,9 @@ class PlaneExtractor:
                                      settings.relief)
         if evidence.epipolar_inlier[rows].mean() < settings.min_inliers:
             return replace(blank, reason=pairs.disagreement(evidence[rows])), rows
-        if labeling.turns_only(evidence[rows], settings.epsilon_m):
-            return self._turning(blank, pair[rows], fit.R_cur_from_prev), rows
+        turned = self._turned(blank, pair[rows], evidence[rows], fit)
+        if turned is not None:
+            return turned, rows
         ratio = self._ratio(blank, pair[rows], evidence[rows], fit)
         floor, road = self._survey(whole, pair, evidence, lone, fit, ratio)
         free = pairs.spread(free, rows, len(whole.x_cur))
@@ -133,10 +134,15 @@ class PlaneExtractor:
                               covariance=np.diag([1e-8] * 3 + [0.0] * 3))
         return self._without_baseline(blank, motion, still)
 
-    def _turning(self, blank: Extraction, pair: two_view.Pair, R: np.ndarray) -> Extraction:
-        """Label a key frame pair of a camera that turns on the spot."""
+    def _turned(self, blank: Extraction, pair: two_view.Pair, evidence: labeling.Evidence,
+                fit: MotionFit) -> Extraction | None:
+        """Label a key frame pair of a camera that turns on the spot; None where it moves."""
+        if not labeling.may_turn(evidence, self._settings.epsilon_m):
+            return None
         R, covariance, off = camera_motion.turn(pair.rays_cur, pair.rays_prev, pair.sigma,
-                                                pair.focal, R)
+                                                pair.focal, fit.R_cur_from_prev)
+        if not labeling.turns_only(off * pair.sigma, self._settings.epsilon_m):
+            return None
         self._memory = self._memory.turned(blank.stamp, R)
         motion = CameraMotion(MotionStatus.ROTATION_ONLY, R, covariance=covariance)
         blank = replace(blank, sigma=pair.sigma.astype(np.float32))

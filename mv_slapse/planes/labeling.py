@@ -6,7 +6,8 @@ from mv_slapse.geometry import epipolar, two_view
 from mv_slapse.planes.camera_motion import MotionFit
 import numpy as np
 
-TURNING_SHARE = 0.15  # of blocks with parallax: below, the camera turns on the spot
+TURNING_SHARE = 0.15  # of blocks off a rotation: below, the camera turns on the spot
+TURNING_PARALLAX = 3.0  # of epsilon_m, in the median: beyond, the camera moves in any case
 
 
 @dataclass(frozen=True)
@@ -69,14 +70,23 @@ def orient(pair: two_view.Pair, R, t) -> tuple[np.ndarray, bool]:
     return t, bool(t[2] < 0)
 
 
-def turns_only(evidence: Evidence, epsilon_m: float) -> bool:
-    """Tell whether a pair shows a turn on the spot: next to no block has any parallax.
+def may_turn(evidence: Evidence, epsilon_m: float) -> bool:
+    """Tell whether a pair shows so little parallax that the camera may have turned on the spot.
 
-    Of a camera that moves, 60 % of the blocks or more have twice ``epsilon_m`` [px] on every
-    stream that was measured; of one that turns on the spot up to 5 %.
+    Some translation passes for a part of a turn: up to twice ``epsilon_m`` [px] of parallax, alike
+    everywhere, were measured.
     """
     parallax = evidence.parallax[evidence.epipolar_inlier]
-    return bool(np.mean(parallax > 2 * epsilon_m) < TURNING_SHARE)
+    return bool(np.median(parallax) < TURNING_PARALLAX * epsilon_m) if len(parallax) else False
+
+
+def turns_only(off: np.ndarray, epsilon_m: float) -> bool:
+    """Tell whether a rotation explains a pair: next to no block is ``off`` (N,) [px] from it.
+
+    Of a camera that moves by 5 cm, 22 % of the blocks or more are off by twice ``epsilon_m`` [px]
+    on every stream that was measured; of one that turns on the spot up to 10 %.
+    """
+    return bool(np.mean(off > 2 * epsilon_m) < TURNING_SHARE)
 
 
 def evidence(pair: two_view.Pair, fit: MotionFit, epsilon_f: float, epsilon_m: float,

@@ -2,8 +2,9 @@
 
 from canyon import CANYON, K, motion, MOTIONS, views
 from mv_slapse.geometry.camera import to_rays
+from mv_slapse.geometry.rotation import exp
 from mv_slapse.geometry.two_view import Pair
-from mv_slapse.planes import labeling
+from mv_slapse.planes import camera_motion, labeling
 from mv_slapse.planes.camera_motion import MotionFit
 import numpy as np
 import pytest
@@ -102,8 +103,31 @@ def test_an_object_that_crosses_leaves_its_epipolar_lines():
     assert evidence.epipolar_inlier[mover].mean() < 0.2
 
 
+def off_a_turn(scene):
+    pair = scene.pair
+    _, _, off = camera_motion.turn(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, scene.R)
+    return off * pair.sigma
+
+
 def test_a_turn_shows_no_parallax_and_a_motion_does(rng, true_motion):
     R, t = true_motion
-    assert not labeling.turns_only(judged(views(R, t, rng, 0.3, outliers=0.1)), 1.0)
-    far = views(R, t, rng, 0.3, planes=1e-6 * CANYON, outliers=0.1)
-    assert labeling.turns_only(judged(far), 1.0)
+    moves = views(R, t, rng, 0.3, outliers=0.1)
+    turns = views(R, t, rng, 0.3, planes=1e-6 * CANYON, outliers=0.1)
+    assert not labeling.may_turn(judged(moves), 1.0)
+    assert labeling.may_turn(judged(turns), 1.0)
+    assert labeling.turns_only(off_a_turn(turns), 1.0)
+
+
+@pytest.mark.parametrize('true_motion', ['ahead'], indirect=True)
+def test_a_slow_motion_that_passes_for_a_turn_is_told_by_what_a_turn_leaves(rng, true_motion):
+    """Parallax like that of a turn whose rotation was misjudged, but not everywhere alike."""
+    R, t = true_motion
+    creeps = views(R, t, rng, 0.3, planes=0.1 * CANYON)
+    assert labeling.may_turn(judged(creeps), 1.0)
+    assert not labeling.turns_only(off_a_turn(creeps), 1.0)
+    misjudged = views(R, t, rng, 0.3, planes=1e-6 * CANYON)
+    wrong = MotionFit(exp([0, 2.0 / K[0, 0], 0]) @ R, np.array([1.0, 0, 0]), np.zeros((6, 6)), 0.0)
+    evidence = labeling.evidence(misjudged.pair, wrong, 3.0, 1.0, 0.0)
+    assert 1.5 < np.median(evidence.parallax) < 3
+    assert labeling.may_turn(evidence, 1.0)
+    assert labeling.turns_only(off_a_turn(misjudged), 1.0)
