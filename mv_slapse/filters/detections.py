@@ -159,7 +159,8 @@ def _blocks(extraction, plane_id):
     x, block = extraction.x_cur[at].astype(float), extraction.block[at].astype(float)
     if len(x) < 2:
         return x, block
-    cell = np.maximum((x // MACROBLOCK).astype(int), 0)
+    cell = np.floor(x / MACROBLOCK).astype(int)
+    cell -= cell.min(axis=0)
     lattice = np.zeros(cell.max(axis=0) + 1, bool)
     lattice[tuple(cell.T)] = True
     # A block missing inside a surface must not tear it apart: fill single gaps before joining.

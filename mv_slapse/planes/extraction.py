@@ -248,6 +248,7 @@ def _is_plane(blocks: Blocks, part, track: KnownPlane, before: KnownPlane | None
 def _density(x: np.ndarray, member: np.ndarray) -> float:
     """Return which share of the blocks (N, 2) in a plane's outline is its own."""
     cell = np.floor((x + 0.5) / lattice.MACROBLOCK).astype(int)
+    cell -= cell.min(axis=0)  # what a wide lens sees lies far outside an undistorted picture
     own = np.zeros(cell.max(axis=0) + 5, bool)
     own[tuple(cell[member].T + 2)] = True
     inside = ndimage.binary_closing(own, np.ones((3, 3)))[tuple(cell.T + 2)]

@@ -76,7 +76,8 @@ def look(depths: Depths, up: np.ndarray) -> Windows | None:
     up : (3,) array
         Unit normal of the ground. Tall windows are taken for walls: three columns know no slant.
     """
-    window, block, is_tall = _tiled(np.floor((depths.x + 0.5) / MACROBLOCK).astype(int))
+    cell = np.floor((depths.x + 0.5) / MACROBLOCK).astype(int)
+    window, block, is_tall = _tiled(cell - cell.min(axis=0))
     if not len(window):
         return None
     count = np.bincount(window)

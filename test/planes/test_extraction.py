@@ -153,3 +153,12 @@ def test_gather_leaves_out_what_agrees_by_chance(rng):
     member = extraction.gather(depths, WALLS[0], free, RULES)
     assert member.sum() > 0.9 * free.sum() - 2
     assert not member[alone].any()
+
+
+def test_a_plane_is_as_dense_outside_an_undistorted_picture_as_in_it(rng):
+    """A fisheye's blocks lie hundreds of pixels to the left of the picture and above it."""
+    x = 16.0 * np.mgrid[0:12, 0:9].reshape(2, -1).T + 7.5
+    member = rng.random(len(x)) < 0.8
+    inside = extraction._density(x, member)
+    assert 0.7 < inside < 1
+    assert extraction._density(x - (900, 700), member) == inside
