@@ -329,6 +329,7 @@ def _point_columns(record: Correspondences | Extraction) -> Fields:
 
 def _points_of(msg: Any) -> Fields:
     def pairs(first: str, second: str, dtype: type) -> np.ndarray:
+        """Return two columns of the message as one (N, 2)."""
         return np.stack([_column(getattr(msg, first), dtype),
                          _column(getattr(msg, second), dtype)], axis=1)
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry import rotation
-from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry.blocks import MACROBLOCK, macroblock_of
 from mv_slapse.geometry.camera import Camera, to_rays, undistort
 from mv_slapse.records import Correspondences, SegmentKind
 import numpy as np
@@ -115,7 +115,7 @@ def _table(pair: Correspondences) -> np.ndarray:
     """Return the row of the correspondence in each macroblock, with a border; len(pair): none."""
     shape = -(-pair.height // MACROBLOCK) + 2, -(-pair.width // MACROBLOCK) + 2
     table = np.full(shape, len(pair))
-    column, row = np.floor((pair.x_cur + np.float32(0.5)) / MACROBLOCK).astype(np.int32).T + 1
+    column, row = macroblock_of(pair.x_cur).T + 1
     table[row, column] = np.arange(len(pair))
     return table
 

@@ -57,20 +57,21 @@ class CorrespondenceDecoder:
             pairs = self._merged(segment)
         if segment.kind is SegmentKind.PI and len(pairs[0].supported()) < POOR * self._usual:
             pairs = [self._searched(segment) or pairs[0]]
-        for pair in pairs:
-            self._expect.add(pair.supported())
-        self._usual = len(pairs[-1].supported()) or self._usual
+        supported = [pair.supported() for pair in pairs]
+        for pair in supported:
+            self._expect.add(pair)
+        self._usual = len(supported[-1]) or self._usual
         return pairs
 
     def _merged(self, segment: Segment) -> list[Correspondences]:
         """Merge a segment, in two parts where its motion is too long for direct vectors."""
-        whole = merge(segment, self._settings, self._expect)
-        self._learn(match_probability(collect(segment, self._settings), whole,
-                                      self._settings))
+        evidence = collect(segment, self._settings)
+        whole = merge(segment, evidence, self._settings, self._expect)
+        self._learn(match_probability(evidence, whole, self._settings))
         flow = np.hypot(*(whole.x_prev - whole.x_cur).T)
         if not segment.between or len(flow) and np.median(flow) < self._settings.split_flow:
             return [whole]
-        parts = [merge(half, self._settings, self._expect)
+        parts = [merge(half, collect(half, self._settings), self._settings, self._expect)
                  for half in halves(segment, self._settings)]
         # Fewer matches over half the distance: the B frame's vectors mean other pictures.
         shorter = min(len(part.supported()) for part in parts)

@@ -146,13 +146,16 @@ class _Stamps:
         self._last = 0
 
     def add(self, number: int, stamp: int):
+        """Keep the stamp [ns] of a packet, by its number."""
         self._of_showing |= 0 < self._last - stamp < LONGEST_REORDERING
         self._pending[number] = self._last = stamp
 
     def drop(self, number: int):
+        """Forget a packet that gives no picture."""
         self._pending.pop(number, None)
 
     def take(self, number: int, kind: FrameType) -> int:
+        """Return the stamp [ns] of the picture that a packet has given."""
         stamps = list(self._pending.values())
         late = number != min(self._pending)
         in_order = not self._of_showing and stamps == sorted(set(stamps))

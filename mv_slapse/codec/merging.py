@@ -3,11 +3,11 @@
 from math import comb, sqrt
 from typing import NamedTuple
 
-from mv_slapse.codec.evidence import collect, Evidence, is_ambiguous, of_one_interval
-from mv_slapse.codec.prior import at, MotionPrior
+from mv_slapse.codec.evidence import Evidence, is_ambiguous, of_one_interval
+from mv_slapse.codec.prior import at, field_of, MotionPrior
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
-from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry.blocks import MACROBLOCK, macroblock_of
 from mv_slapse.records import Correspondences, SegmentKind
 import numpy as np
 
@@ -59,7 +59,7 @@ def expected_variance(kind: SegmentKind, n_b: int, p: float, direct_weight: floa
     return total / existence(kind, n_b, p)
 
 
-def merge(segment: Segment, settings: DecoderSettings,
+def merge(segment: Segment, evidence: Evidence, settings: DecoderSettings,
           expect: MotionPrior | None = None) -> Correspondences:
     """Return one correspondence for each macroblock of key frame k whose evidence agrees.
 
@@ -71,11 +71,13 @@ def merge(segment: Segment, settings: DecoderSettings,
     ----------
     segment : Segment
         Not BROKEN.
+    evidence : Evidence
+        All that is collected of it.
     settings : DecoderSettings
     expect : MotionPrior, optional
         What the pairs before let expect.
     """
-    evidence, field = collect(segment, settings), None
+    field = None
     if expect is not None:
         seconds = (segment.current.stamp - segment.previous.stamp) * 1e-9
         field = expect.field(seconds, evidence.x_cur, evidence.vector)
@@ -115,12 +117,8 @@ def match_probability(evidence: Evidence, merged: Correspondences,
     rows = direct if direct.any() else ~direct
     if not rows.any():
         return float('nan')
-    shape = -(-merged.height // MACROBLOCK), -(-merged.width // MACROBLOCK)
-    field = np.full((*shape, 2), ABSENT, np.float32)
-    column, row = np.floor((supported.x_cur + np.float32(0.5)) / MACROBLOCK).astype(np.intp).T
-    field[row, column] = supported.x_prev - supported.x_cur
     vector = evidence.vector[rows]
-    gap = _square_gap(vector, at(field, evidence.x_cur[rows]))
+    gap = _square_gap(vector, at(field_of(supported), evidence.x_cur[rows]))
     area = evidence.block[rows].astype(np.float32).prod(axis=1)
     right = float(area @ (gap < _limit(vector, settings, 0.25) ** 2) / area.sum())
     return right if direct.any() else sqrt(right)
@@ -235,6 +233,7 @@ def _slots(evidence: Evidence, shape: tuple[int, int], settings: DecoderSettings
     at, order = (cell[kept], rank[kept]), order[kept]
 
     def packed(values, fill=0):
+        """Return values in their slots, and the fill elsewhere."""
         table = np.full((shape[0] * shape[1], depth, *values.shape[1:]), fill, np.float32)
         table[at] = values[order]
         return table
@@ -249,7 +248,7 @@ def _slots(evidence: Evidence, shape: tuple[int, int], settings: DecoderSettings
 
 def _cells(x: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return the macroblock of each pixel on a grid with a border; 0 (a corner) outside it."""
-    column, row = (np.floor((x + np.float32(0.5)) / MACROBLOCK).astype(np.int32) + 1).T
+    column, row = (macroblock_of(x) + 1).T
     inside = (column > 0) & (column < shape[1] - 1) & (row > 0) & (row < shape[0] - 1)
     return np.where(inside, row * shape[1] + column, 0)
 

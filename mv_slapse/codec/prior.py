@@ -1,7 +1,7 @@
 """The motion field of the pairs before, as the expectation for the next one."""
 
 import cv2
-from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry.blocks import MACROBLOCK, macroblock_of
 from mv_slapse.records import Correspondences
 import numpy as np
 
@@ -26,14 +26,11 @@ class MotionPrior:
         """Take in a merged pair; one without vectors changes nothing."""
         if not len(pair):
             return
-        shape = -(-pair.height // MACROBLOCK), -(-pair.width // MACROBLOCK)
         seconds = (pair.stamp - pair.previous_stamp) * 1e-9
-        grid, weight = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.float32)
-        column, row = np.floor((pair.x_cur + np.float32(0.5)) / MACROBLOCK).astype(np.intp).T
-        grid[row, column] = (pair.x_prev - pair.x_cur) / np.float32(seconds)
-        weight[row, column] = 1
+        grid = field_of(pair) / np.float32(seconds)
+        weight = np.isfinite(grid[..., 0]).astype(np.float32)
+        grid = np.where(weight[..., None] > 0, grid, np.float32(0))
         if self._velocity is not None and self._velocity.shape == grid.shape:
-            grid = np.where(weight[..., None] > 0, grid, 0)
             grid += FORGET * self._velocity * np.where(weight[..., None] > 0, 0.5, 0.1)
             weight += FORGET * np.where(weight > 0, 0.5, 0.1).astype(np.float32)
         self._velocity = _filled(grid, weight)
@@ -68,10 +65,18 @@ class MotionPrior:
         return field + shift
 
 
+def field_of(pair: Correspondences) -> np.ndarray:
+    """Return the vectors (rows, columns, 2) of a merged pair, NaN in macroblocks without one."""
+    shape = -(-pair.height // MACROBLOCK), -(-pair.width // MACROBLOCK)
+    field = np.full((*shape, 2), np.nan, np.float32)
+    column, row = macroblock_of(pair.x_cur).T
+    field[row, column] = pair.x_prev - pair.x_cur
+    return field
+
+
 def at(field: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return the values (N, 2) of a field at pixels (N, 2), those of their macroblocks."""
-    index = np.floor((x + np.float32(0.5)) / MACROBLOCK).astype(np.intp)
-    column, row = np.clip(index, 0, (field.shape[1] - 1, field.shape[0] - 1)).T
+    column, row = np.clip(macroblock_of(x), 0, (field.shape[1] - 1, field.shape[0] - 1)).T
     return field[row, column]
 
 

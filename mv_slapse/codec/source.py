@@ -87,6 +87,7 @@ class _Clock:
         self._count = 0
 
     def stamp(self, packet) -> int:
+        """Return the time of the next packet."""
         number, self._count = self._count, self._count + 1
         if packet.pts is None:
             return round(number * self._step)

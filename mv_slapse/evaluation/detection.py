@@ -11,12 +11,12 @@ from typing import Any
 import cv2
 from mv_slapse.evaluation.trajectory import associate
 from mv_slapse.evaluation.truth import LabelTable, on_common_blocks
+from mv_slapse.geometry.blocks import MACROBLOCK, macroblock_of
 from mv_slapse.records import Label
 import numpy as np
 
 MIN_MACROBLOCKS = 6
 SAME = 0.3  # smallest IoU of a box and the obstacle it stands for
-SIZE = 16
 
 Table = dict[str, np.ndarray]
 
@@ -46,11 +46,16 @@ def boxes(table: Table) -> np.ndarray:
     return np.c_[table['x'], table['y'], table['width'], table['height']]
 
 
-def iou(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return intersection over union (N, M) of boxes (N, 4) and (M, 4)."""
+def common_area(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the area (N, M) that boxes (N, 4) and (M, 4) share."""
     low = np.maximum(a[:, None, :2], b[None, :, :2])
     high = np.minimum((a[:, :2] + a[:, 2:])[:, None], (b[:, :2] + b[:, 2:])[None])
-    common = np.prod(np.clip(high - low, 0, None), axis=2)
+    return np.prod(np.clip(high - low, 0, None), axis=2)
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return intersection over union (N, M) of boxes (N, 4) and (M, 4)."""
+    common = common_area(a, b)
     union = a[:, 2:].prod(axis=1)[:, None] + b[:, 2:].prod(axis=1)[None] - common
     return common / np.maximum(union, 1e-12)
 
@@ -98,7 +103,7 @@ def point_figures(labels: LabelTable, points: PointLabels) -> dict[str, Any]:
         stationary += np.sum(still == Label.MOVING), np.sum(still != Label.UNKNOWN)
         for mover in np.unique(points.label[seen & (points.label > 1)]):
             on_it = seen & (points.label == mover)
-            size = _area(points.tracks[on_it, frame]) / SIZE**2
+            size = _area(points.tracks[on_it, frame]) / MACROBLOCK**2
             votes.setdefault(int(mover), []).append(
                 (size, float(np.mean(called[on_it] == Label.MOVING))))
     return {**_found(votes), 'stationary_called_moving_percent':
@@ -136,9 +141,9 @@ def _found(votes: dict[int, list[tuple[float, float]]]) -> dict[str, Any]:
 
 def _labels_at(labels: LabelTable, k: int, x: np.ndarray) -> np.ndarray:
     """Return the label (N,) of the macroblock at each pixel (N, 2) in key frame k."""
-    columns = int(labels.x.max() // SIZE) + 1 if len(labels.x) else 0
+    columns = int(labels.x.max() // MACROBLOCK) + 1 if len(labels.x) else 0
     grid = labels.label[k].reshape(-1, max(columns, 1))
-    column, row = np.floor((np.nan_to_num(x, nan=-1e6) + 0.5) / SIZE).astype(int).T
+    column, row = macroblock_of(np.nan_to_num(x, nan=-1e6)).T
     inside = (column >= 0) & (column < grid.shape[1]) & (row >= 0) & (row < grid.shape[0])
     result = np.full(len(x), int(Label.UNKNOWN))
     result[inside] = grid[row[inside], column[inside]]

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from mv_slapse.evaluation.detection import (
     boxes,
+    common_area,
     confirmed,
     iou,
     MIN_MACROBLOCKS,
@@ -206,11 +207,7 @@ def _false(rows: Table, movers: Table, frames: dict[int, int]) -> int:
 
 def _covered(parts: np.ndarray, wholes: np.ndarray) -> np.ndarray:
     """Return the share (N, M) of boxes (N, 4) that lies in each of others (M, 4)."""
-    low = np.maximum(parts[:, None, :2], wholes[None, :, :2])
-    high = np.minimum((parts[:, :2] + parts[:, 2:])[:, None],
-                      (wholes[:, :2] + wholes[:, 2:])[None])
-    common = np.prod(np.clip(high - low, 0, None), axis=2)
-    return common / np.maximum(parts[:, 2:].prod(axis=1), 1e-12)[:, None]
+    return common_area(parts, wholes) / np.maximum(parts[:, 2:].prod(axis=1), 1e-12)[:, None]
 
 
 def _rows(matches: list[Match]) -> tuple[np.ndarray, np.ndarray]:

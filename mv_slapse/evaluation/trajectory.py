@@ -134,6 +134,7 @@ def evaluate(estimate: Trajectory, truth: Trajectory,
 def figures(score: TrajectoryScore) -> dict[str, float | int | None]:
     """Return the keys that ``eval`` reports; percentages of the distance, None without one."""
     def percent(error: float) -> float | None:
+        """Return an error [m] in per cent of the way."""
         return 100 * error / score.distance if score.distance > 1e-6 else None
 
     mean, rigid = float(score.ate.mean()), float(score.ate_rigid.mean())

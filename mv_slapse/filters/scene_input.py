@@ -1,7 +1,7 @@
 """Which correspondences of an extraction correct the scene."""
 
 from mv_slapse.geometry import two_view
-from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry.blocks import macroblock_of
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import Extraction, Label
 import numpy as np
@@ -27,7 +27,7 @@ def _beside_movers(extraction: Extraction) -> np.ndarray:
     moving = extraction.label == Label.MOVING
     if not moving.any():
         return moving
-    cell = np.floor((extraction.x_cur + 0.5) / MACROBLOCK).astype(int)
+    cell = macroblock_of(extraction.x_cur)
     cell = tuple((cell - cell.min(axis=0)).T)
     taken = np.zeros(np.max(cell, axis=1) + 1, bool)
     taken[tuple(index[moving] for index in cell)] = True

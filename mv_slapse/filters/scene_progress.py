@@ -8,8 +8,8 @@ class Progress:
     """Where the filter stands: time, last accepted observation, scale, highest speed.
 
     ``started``: it has moved, so that there is a scale; ``carried``: the last pair's depths have
-    one; ``rested``: no baseline since a rest; ``anew``: nor since the
-    heading was lost.
+    one; ``rested``: no baseline since a rest; ``anew``: nor since the heading
+    was lost.
     """
 
     stamp: int

@@ -1,4 +1,11 @@
-"""Sizes of the blocks that a codec's pictures are cut into."""
+"""The blocks that a codec's pictures are cut into: their sizes, and which one a pixel lies in."""
+
+import numpy as np
 
 MACROBLOCK = 16  # px, of MPEG-1/2/4, H.263 and H.264: vectors of one and of its neighbours agree
 CELL = 8  # px, the smallest partition that decoders report
+
+
+def macroblock_of(x: np.ndarray) -> np.ndarray:
+    """Return column and row (N, 2) int of the macroblocks in which pixels (N, 2) lie."""
+    return np.floor((x + 0.5) / MACROBLOCK).astype(np.intp)

@@ -23,11 +23,13 @@ def subscribe(node: Node, message_type: type, topic: str, callback: Callable[[An
     name = node.resolve_topic_name(topic)
 
     def on_incompatible(event):
+        """Say which settings of both sides do not fit."""
         message = mismatch(node, name, profile)
         node.get_logger().error(message)
         node.health.problem(f'qos {name}', message)
 
     def on_lost(event):
+        """Count messages that the middleware has lost."""
         node.health.count(f'lost on {name}', event.total_count_change)
 
     events = SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost)

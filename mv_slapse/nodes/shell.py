@@ -42,6 +42,7 @@ class Shell(Node):
     def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[..., None]:
         """Return a callback that notes arrivals, heeds ~/pause, and reports what it cannot use."""
         def on_message(msg, info):
+            """Note the arrival and try the callback."""
             self.health.arrived(topic, (time.time_ns() - info['received_timestamp']) / 1e9)
             if not self.paused:
                 self.attempt(topic, callback, msg)

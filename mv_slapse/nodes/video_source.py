@@ -86,6 +86,7 @@ class _Pace:
         self._rate, self._begin, self._newest = rate, time.monotonic(), 0
 
     def wait(self, stamp: int, stop: Event):
+        """Wait until a packet of this stamp [ns] is due, or for ``stop``."""
         # stamps of packets go back and forth where there are B frames
         self._newest = max(self._newest, stamp)
         if self._rate > 0:

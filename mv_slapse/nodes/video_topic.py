@@ -70,6 +70,7 @@ class VideoTopic:
 
     def _subscribe(self, message_type: type, callback: Callable, profile: QoSProfile):
         def on_incompatible(_):
+            """Ask for less, where the reliability was left to us."""
             if self._settings.qos_reliability == 'auto':
                 self._node.destroy_subscription(self._subscription)
                 self._subscribe(message_type, callback, QoSProfile(

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import itertools
 
+from mv_slapse.geometry.blocks import macroblock_of
 from mv_slapse.planes import consensus, lattice, windows
 from mv_slapse.planes.consensus import Depths
 from mv_slapse.planes.known import kept, KnownPlane, recognised
@@ -247,7 +248,7 @@ def _is_plane(blocks: Blocks, part, track: KnownPlane, before: KnownPlane | None
 
 def _density(x: np.ndarray, member: np.ndarray) -> float:
     """Return which share of the blocks (N, 2) in a plane's outline is its own."""
-    cell = np.floor((x + 0.5) / lattice.MACROBLOCK).astype(int)
+    cell = macroblock_of(x)
     cell -= cell.min(axis=0)  # what a wide lens sees lies far outside an undistorted picture
     own = np.zeros(cell.max(axis=0) + 5, bool)
     own[tuple(cell[member].T + 2)] = True

@@ -101,8 +101,7 @@ class GroundPrior:
 
     def upright(self, plane: np.ndarray):
         """Return mean (3,) and information (3, 3) of the direction alone of a plane (3,)."""
-        mean, information = replace(self, spread=np.inf).information(plane)
-        return mean, information
+        return replace(self, spread=np.inf).information(plane)
 
     def informed(self, belief: HeightBelief) -> 'GroundPrior':
         """Return it with the height that many pairs show, where the last ones knew it less.

@@ -1,6 +1,6 @@
 """The lattice of macroblocks: which cell a pixel lies in, and which blocks belong together."""
 
-from mv_slapse.geometry.blocks import CELL, MACROBLOCK
+from mv_slapse.geometry.blocks import CELL, MACROBLOCK, macroblock_of
 import numpy as np
 from scipy import ndimage
 
@@ -40,7 +40,7 @@ def lookup(grid: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def count_macroblocks(x: np.ndarray) -> int:
     """Return in how many macroblocks pixels (N, 2) lie."""
-    cell = np.floor((x + 0.5) / MACROBLOCK).astype(np.int64)
+    cell = macroblock_of(x)
     return len(np.unique(cell[:, 1] * 65536 + cell[:, 0]))
 
 
@@ -51,7 +51,7 @@ def components(x: np.ndarray, reach: int = 1) -> np.ndarray:
     """
     if not len(x):
         return np.zeros(0, int)
-    cell = np.floor((x + 0.5) / MACROBLOCK).astype(int)
+    cell = macroblock_of(x)
     cell -= cell.min(axis=0)
     occupied = np.zeros(cell.max(axis=0)[::-1] + 1 + 2 * reach, bool)
     at = (cell[:, 1] + reach, cell[:, 0] + reach)

@@ -21,7 +21,7 @@ import numpy as np
 BIAS = 0.35  # px that a region's vectors have in common
 LEAST_DROP = 8.0  # px below the horizon from which on a lower edge tells something
 FOOT_SIGMA = 6.0  # px of the lower edge, seen to a block, and of the horizon
-EDGE_SIGMA = 16 / np.sqrt(12)  # px of the lower edge, seen to a block, alone
+EDGE_SIGMA = lattice.MACROBLOCK / np.sqrt(12)  # px of the lower edge, seen to a block, alone
 FOOT_HEIGHT = 40.0  # px above the lower edge that show how near it is
 GROUND_SIGMA = 0.07  # share of the ground's inverse depth: slope, kerbs
 BANK_SIGMA = 0.04  # rad by which land slopes beside the road, against the road's plane

@@ -10,6 +10,7 @@ the best plane of its own is asked: it ends at the edge of the surface, as in st
 from dataclasses import dataclass
 
 from mv_slapse.geometry import rotation
+from mv_slapse.geometry.blocks import macroblock_of
 from mv_slapse.planes.consensus import Depths
 from mv_slapse.planes.lattice import MACROBLOCK
 import numpy as np
@@ -76,7 +77,7 @@ def look(depths: Depths, up: np.ndarray) -> Windows | None:
     up : (3,) array
         Unit normal of the ground. Tall windows are taken for walls: three columns know no slant.
     """
-    cell = np.floor((depths.x + 0.5) / MACROBLOCK).astype(int)
+    cell = macroblock_of(depths.x)
     window, block, is_tall = _tiled(cell - cell.min(axis=0))
     if not len(window):
         return None

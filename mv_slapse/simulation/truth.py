@@ -18,7 +18,7 @@ from mv_slapse.simulation.flight import Flight
 from mv_slapse.simulation.render import Renderer
 from mv_slapse.simulation.street import Plane, Street
 from mv_slapse.simulation.surfaces import SKY
-from mv_slapse.storage.tum import format_row, format_stamp
+from mv_slapse.storage.tum import format_stamp, write_poses
 import numpy as np
 
 VISIBLE = 64   # a mover with fewer pixels is not visible
@@ -77,8 +77,7 @@ class TruthRecorder:
     def write(self, folder: Path):
         """Write ground_truth.tum, scene.json, movers.csv and truth_labels.npz."""
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / 'ground_truth.tum').write_text(
-            ''.join(format_row(*row) + '\n' for row in self._rows))
+        write_poses(folder / 'ground_truth.tum', self._rows)
         (folder / 'scene.json').write_text(json.dumps(scene(self._street), indent=1) + '\n')
         rows = [MOVERS_HEADER, *(_row(mover) for mover in self._movers)]
         (folder / 'movers.csv').write_text('\n'.join(rows) + '\n')
@@ -101,9 +100,9 @@ def film_flight(flight: Flight, folder: Path) -> Iterator[np.ndarray]:
     """Yield the grey pictures (H, W) uint8 of a flight; after the last its poses are written."""
     yield from flight.pictures()
     folder.mkdir(parents=True, exist_ok=True)
-    rows = (format_row(round(i * 1e9 / flight.settings.fps), *flight.pose(i))
-            for i in range(flight.settings.n_frames))
-    (folder / 'ground_truth.tum').write_text(''.join(row + '\n' for row in rows))
+    write_poses(folder / 'ground_truth.tum', (
+        (round(i * 1e9 / flight.settings.fps), *flight.pose(i))
+        for i in range(flight.settings.n_frames)))
 
 
 def block_surfaces(surface: np.ndarray) -> np.ndarray:

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
+from mv_slapse.geometry.blocks import MACROBLOCK, macroblock_of
 from mv_slapse.records import Correspondences, Extraction, Label
 import numpy as np
 
-SIZE = 16
 N_LABELS = 3
 
 
@@ -27,14 +27,14 @@ class LabelGrid:
 
 def grid_shape(width: int, height: int) -> tuple[int, int]:
     """Return columns and rows of macroblocks; those cut by the border count."""
-    return -(-width // SIZE), -(-height // SIZE)
+    return -(-width // MACROBLOCK), -(-height // MACROBLOCK)
 
 
 def grid_centres(width: int, height: int) -> np.ndarray:
     """Return the centres (M, 2) of the macroblocks [px], row by row."""
     columns, rows = grid_shape(width, height)
     y, x = np.mgrid[:rows, :columns]
-    return SIZE * np.c_[x.ravel(), y.ravel()] + (SIZE - 1) / 2
+    return MACROBLOCK * np.c_[x.ravel(), y.ravel()] + (MACROBLOCK - 1) / 2
 
 
 def vote(correspondences: Correspondences, extraction: Extraction) -> LabelGrid:
@@ -45,7 +45,7 @@ def vote(correspondences: Correspondences, extraction: Extraction) -> LabelGrid:
     """
     columns, rows = grid_shape(extraction.width, extraction.height)
     x = _places(correspondences, extraction)
-    column, row = np.floor((x + 0.5) / SIZE).astype(int).T
+    column, row = macroblock_of(x).T
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     known = inside & (extraction.label != Label.UNKNOWN)
     cell, label = (row * columns + column)[known], extraction.label[known].astype(int)

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
+from mv_slapse.geometry.blocks import macroblock_of
 from mv_slapse.records import Correspondences, Extraction, Label
-from mv_slapse.storage.labels import grid_centres, grid_shape, LabelGrid, SIZE
+from mv_slapse.storage.labels import grid_centres, grid_shape, LabelGrid
 import numpy as np
 
 LIFETIME = 500_000_000  # [ns] after which a macroblock is no longer a mover's without evidence
@@ -98,7 +99,7 @@ class Silhouettes:
         before = self._known.get(id_)
         if before is None or len(before.seen) != len(seen):
             return seen
-        column, row = np.floor((motion.back(grid_centres(*size)) + 0.5) / SIZE).astype(int).T
+        column, row = macroblock_of(motion.back(grid_centres(*size))).T
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         seen[inside] = before.seen[row[inside] * columns + column[inside]]
         seen[(seen > stamp) | (stamp - seen >= LIFETIME)] = NEVER

@@ -1,5 +1,6 @@
 """Trajectories as text, one pose a row: ``stamp tx ty tz qx qy qz qw`` (TUM format)."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -55,8 +56,13 @@ def format_row(stamp: int, R: np.ndarray, t: np.ndarray) -> str:
 
 def write_trajectory(path: str | Path, trajectory: Trajectory):
     """Write a trajectory file."""
-    rows = zip(trajectory.stamps, trajectory.rotations(), trajectory.positions, strict=True)
-    Path(path).write_text(''.join(format_row(*row) + '\n' for row in rows))
+    write_poses(path, zip(trajectory.stamps, trajectory.rotations(), trajectory.positions,
+                          strict=True))
+
+
+def write_poses(path: str | Path, poses: Iterable[tuple[int, np.ndarray, np.ndarray]]):
+    """Write a trajectory file of (stamp, R, t), as ``format_row`` takes them."""
+    Path(path).write_text(''.join(format_row(*pose) + '\n' for pose in poses))
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
