@@ -69,7 +69,7 @@ class DecoderSettings(Checked):
         0.25, '-', 'the same, as a share of the expected vector', 0.0)
     split_flow: float = setting(
         16.0, 'px', 'median motion of a segment beyond which its middle B frame is a pose of its '
-        'own; 0: always', 0.0)
+        'own, if either half has parallax enough; 0: always', 0.0)
     split_share: float = setting(
         0.6, '-', 'least share of correspondences that both halves must keep, or the segment '
         'stays whole', 0.0)

@@ -41,22 +41,26 @@ class Chainer:
         else:
             self._chain = chain(pair, self._chain, self._settings)
             self._links += 1
-        return self.flush() if self._is_long_enough() else []
+        return self.flush() if self._is_due() else []
 
     def flush(self) -> list[Correspondences]:
         """Return the pair held back, whatever its parallax."""
         held, self._chain = self._chain, None
         return [] if held is None else [held]
 
-    def _is_long_enough(self) -> bool:
-        pair, settings = self._chain.supported(), self._settings
-        age_after_next = (pair.stamp - pair.previous_stamp + self._step) / NANOSECONDS
-        if age_after_next > settings.max_chain_time or self._links >= settings.max_chain:
-            return True
+    def is_long(self, pair: Correspondences) -> bool:
+        """Tell whether a pair has moved so far that it need not, or must not, be chained."""
+        pair, settings = pair.supported(), self._settings
         flow = pair.x_prev - pair.x_cur
         if len(flow) and np.median(np.hypot(*flow.T)) >= settings.max_chain_flow:
             return True
         return parallax(pair, self._camera) >= settings.min_parallax
+
+    def _is_due(self) -> bool:
+        age_after_next = (self._chain.stamp - self._chain.previous_stamp
+                          + self._step) / NANOSECONDS
+        return (age_after_next > self._settings.max_chain_time
+                or self._links >= self._settings.max_chain or self.is_long(self._chain))
 
 
 def chain(newer: Correspondences, older: Correspondences,

@@ -76,7 +76,8 @@ class CorrespondenceDecoder:
         # Fewer matches over half the distance: the B frame's vectors mean other pictures.
         shorter = min(len(part.supported()) for part in parts)
         good = shorter >= self._settings.split_share * len(whole)
-        return parts if good else [whole]
+        # Halves that would be chained again lose matches where they are joined.
+        return parts if good and all(map(self._chainer.is_long, parts)) else [whole]
 
     def _learn(self, p: float):
         """Take in how many vectors of a segment were right; the next segment counts with it."""

@@ -54,6 +54,13 @@ def test_kinds_follow_the_key_frames(rng):
     assert kinds == ['IP', 'PP', 'PI', 'IP']
 
 
+@pytest.mark.parametrize(('parallax', 'frames'), [(0.0, 2), (4.0, 4)])
+def test_a_segment_is_halved_only_where_each_half_has_parallax_of_its_own(rng, parallax, frames):
+    settings = replace(EACH, min_parallax=parallax, split_share=0.0)
+    pair = decoded(packets(rng, MPEG2), settings)[0]
+    assert pair.stamp == frames * 40_000_000
+
+
 def test_an_i_frame_without_b_frames_is_bridged_or_broken(rng):
     coded = packets(rng, Encoding('h264', 0, 6), 14)
     bridged = decoded(coded)
