@@ -135,6 +135,11 @@ def pose_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:
             'pose': _pose_with_covariance(scene, frames)}
 
 
+def pose_from_message(msg: Any, frames: RosFrames) -> Pose:
+    """Return the pose in {W} of a geometry_msgs/PoseWithCovarianceStamped in odom."""
+    return ros_frames.pose_to_world(_pose_from_message(msg.pose), frames)
+
+
 def pose_stamped_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:
     """Return geometry_msgs/PoseStamped in odom, an entry of a nav_msgs/Path."""
     return camera_pose_to_fields(scene.stamp, _pose_of(scene), frames)
@@ -177,7 +182,7 @@ def scene_from_messages(odometry: Any, plane_map: Any, frames: RosFrames,
 
     ``baseline`` [map unit] is in neither message; it is the distance to the previous pose.
     """
-    pose = ros_frames.pose_to_world(_pose_from_message(odometry.pose), frames)
+    pose = pose_from_message(odometry, frames)
     twist = Twist(_read_xyz(odometry.twist.twist.linear),
                   _read_xyz(odometry.twist.twist.angular), _matrix(odometry.twist.covariance, 6))
     twist = ros_frames.twist_to_world(twist, pose.R, frames)

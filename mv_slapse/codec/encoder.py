@@ -131,6 +131,16 @@ def write_video(path: str | Path, images: Iterable[np.ndarray], fps: float,
         container.mux(stream.encode(None))
 
 
+def leave_out(source: str | Path, path: str | Path, lost: range):
+    """Copy a video but for some of its packets, counted from zero as they come."""
+    with av.open(str(source)) as given, av.open(str(path), 'w') as kept:
+        stream = kept.add_stream_from_template(given.streams.video[0])
+        for i, packet in enumerate(given.demux(video=0)):
+            if i not in lost and packet.dts is not None:
+                packet.stream = stream
+                kept.mux(packet)
+
+
 def _picture(image: np.ndarray, number: int, time_base: Fraction) -> av.VideoFrame:
     height, width = (size // 2 * 2 for size in image.shape[:2])
     kind = 'gray' if image.ndim == 2 else 'bgr24'

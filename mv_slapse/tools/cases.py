@@ -9,7 +9,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from mv_slapse.codec.encoder import Encoding, LOW_LATENCY, write_video
+from mv_slapse.codec.encoder import Encoding, leave_out, LOW_LATENCY, write_video
 from mv_slapse.codec.pictures import pictures
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.simulation.flight import FISHEYE, Flight, FlightSettings, WIDE
@@ -45,6 +45,8 @@ DRIVES: dict[str, dict[str, Any]] = {  # how the camera drives, where it is not 
 FLIGHTS = {'flight, wide lens': (WIDE, FlightSettings(n_frames=250)),
            'flight, fisheye': (FISHEYE, FlightSettings(n_frames=250, seed=1)),
            'flight, fast': (WIDE, FlightSettings(n_frames=150, seed=2, speed=4.0))}
+LOSSES = {'kitti00, 2 s lost': HEIGHTS['kitti00'], 'kitti00, 2 s lost, free scale': 0.0}
+LOST = range(80, 100)  # packets of 10 Hz; the road turns meanwhile
 GUESSED_FOCAL = 0.8  # of the width, where nobody knows the lens
 
 
@@ -95,6 +97,19 @@ def recoded(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
             yield from _encoded(wanted, folder, images, fps, Case(
                 '', folder, read_camera(source / 'camera.yaml'), HEIGHTS['kitti00'],
                 source / 'ground_truth.tum'))
+
+
+def lossy(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
+    """Yield kitti00 with the packets of two seconds left out, as a radio link would."""
+    source = data / 'kitti00'
+    for kind, height in LOSSES.items():
+        for name in _named(kind, ENCODINGS, only):
+            given, video = source / Path(name).name, folder / name
+            if given.exists():
+                video.parent.mkdir(parents=True, exist_ok=True)
+                leave_out(given, video, LOST)
+                yield Case(name, video, read_camera(source / 'camera.yaml'), height,
+                           source / 'ground_truth.tum')
 
 
 def streets(folder: Path, count: int, n_frames: int, only: str = '') -> Iterator[Case]:

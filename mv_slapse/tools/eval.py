@@ -8,7 +8,7 @@ from typing import Any
 from mv_slapse import fields
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.evaluation import annotation as annotations
-from mv_slapse.evaluation import detection, planes, tracking, trajectory
+from mv_slapse.evaluation import consistency, detection, planes, tracking, trajectory
 from mv_slapse.evaluation.truth import LabelTable, read_arrays, read_labels, read_truth, Truth
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.storage.bag_reader import BagReader
@@ -65,6 +65,9 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None,
     if truth.trajectory is not None:
         score = trajectory.evaluate(results.trajectory, truth.trajectory)
         figures |= trajectory.figures(score)
+        figures |= consistency.figures(
+            results.trajectory, read_pose_covariances(out, stamp_offset), truth.trajectory,
+            results.is_metric, is_exact=truth.planes is not None)
         scale = 1.0 if results.is_metric else score.alignment.scale
     figures |= _plane_figures(results, truth, scale)
     if truth.movers is not None:
@@ -91,6 +94,16 @@ def read_covariances(out: str | Path, stamp_offset: float = 0.0) -> tracking.Cov
     messages = (msg for _, msg in BagReader(bag).messages(['/obstacles']))
     return {(o.stamp - shift, o.id): o.covariance for msg in messages
             for o in fields.obstacles_from_message(msg, RosFrames())}
+
+
+def read_pose_covariances(out: str | Path, stamp_offset: float = 0.0) -> dict[int, np.ndarray]:
+    """Return the covariances (6, 6) of poses in {W} by stamp, from the messages of the run."""
+    bag, shift = Path(out) / 'results.mcap', round(stamp_offset * 1e9)
+    if not bag.exists():
+        return {}
+    messages = (msg for _, msg in BagReader(bag).messages(['/pose']))
+    return {fields.stamp_from_message(msg.header.stamp) - shift:
+            fields.pose_from_message(msg, RosFrames()).covariance for msg in messages}
 
 
 def read_results(out: str | Path, stamp_offset: float = 0.0) -> Results:

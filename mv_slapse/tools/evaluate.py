@@ -25,6 +25,7 @@ STREET_FRAMES = 150
 COLUMNS = {
     'poses': ('n_poses', '{:d}'), 'ATE [%]': ('ate_mean_percent', '{:.3f}'),
     'rigid [%]': ('ate_rigid_mean_percent', '{:.3f}'),
+    'covered [%]': ('position_covered_percent', '{:.0f}'), 'NEES': ('pose_nees', '{:.1f}'),
     'standstill [m]': ('standstill_drift_m', '{:.3f}'),
     'planes': ('n_planes', '{:d}'), 'depth [m]': ('plane_depth_error_m', '{:.2f}'),
     'normal [deg]': ('plane_normal_error_deg', '{:.1f}'),
@@ -81,8 +82,9 @@ def page(measured: dict[str, dict[str, Any]], commit: str) -> str:
         'A row is `mv_slapse run VIDEO --camera camera.yaml [--camera-height H] -o OUT`, then '
         '`mv_slapse eval OUT --ground-truth …`.\n'
         'ATE: mean position error after similarity alignment, rigid: after rigid alignment, in '
-        'per cent of the way; standstill: farthest from where it stopped; CPU: of all stages, for '
-        'each frame of the video.\n\n'
+        'per cent of the way; covered: positions within 3 sigma of the true ones; NEES: of '
+        'poses, 6 if the covariances are right, where the truth is exact; standstill: farthest '
+        'from where it stopped; CPU: of all stages, for each frame of the video.\n\n'
         f'{_table(measured, COLUMNS)}\n'
         '## Moving obstacles\n\n'
         'In time: passages of movers of at least 6 macroblocks met by a confirmed obstacle '
@@ -113,6 +115,7 @@ def all_cases(options: argparse.Namespace, folder: Path) -> Iterator[Case]:
         yield from cases.sequences(options.data)
         yield from cases.cameraless(options.data)
         yield from cases.recoded(options.data, folder, options.only)
+        yield from cases.lossy(options.data, folder, options.only)
     yield from cases.streets(folder, options.streets, options.frames, options.only)
     yield from cases.drives(folder, options.only)
     yield from cases.flights(folder, options.only)

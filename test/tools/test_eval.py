@@ -68,6 +68,17 @@ def test_covariances_of_obstacles_come_from_the_messages(clip, out):
     assert tool.read_covariances(out) == {}
 
 
+def test_covariances_of_poses_are_judged_where_the_messages_hold_them(clip, out):
+    figures = tool.evaluate(out, clip.truth)
+    assert figures['position_covered_percent'] > 50
+    assert 0 < figures['pose_nees'] < 60
+    assert tool.evaluate(out, clip.truth / 'ground_truth.tum')['pose_nees'] is None
+    stamps = tool.read_results(out).trajectory.stamps
+    assert set(tool.read_pose_covariances(out)) == set(stamps[1:].tolist())
+    (out / 'results.mcap').unlink()
+    assert tool.evaluate(out, clip.truth)['position_covered_percent'] is None
+
+
 def test_an_annotation_is_scored_against_the_last_key_frame(clip, tmp_path):
     path = tmp_path / 'annotation.json'
     path.write_text('[{"velocity": [0, 0], "position": [9, 0], '

@@ -79,6 +79,16 @@ def test_a_sequence_is_encoded_anew_with_fewer_bits_and_with_fewer_pictures(data
     assert np.all(low < 0.7 * slow)
 
 
+def test_lost_packets_leave_a_gap_in_the_stamps(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(cases, 'LOST', range(10, 30))
+    metric, free = cases.lossy(data, tmp_path)
+    assert (metric.height, free.height) == (1.65, 0.0)
+    with open_source(metric.video) as source:
+        stamps = [packet.stamp for packet in source.packets()]
+    expected = [*range(10), *range(30, 40)]
+    np.testing.assert_allclose(stamps, 1e8 * np.array(expected), atol=1e3)
+
+
 def test_a_video_without_a_calibration_gets_a_guessed_one(tmp_path):
     folder = tmp_path / 'original_codec'
     folder.mkdir()

@@ -1,0 +1,106 @@
+"""Whether the covariance that is published with a pose says what errors are made.
+
+A recorded truth knows the frame of the estimate only through the poses themselves, and its first
+may be its worst. There positions are compared, after the rigid motion with which most of them
+agree, each as far as its covariance lets it; the best fit of all would spread an error at the end
+over the start, where the covariance is small. A rendered truth is right from the first pose on, so
+that nothing needs to be aligned.
+"""
+
+from typing import Any
+
+from mv_slapse.evaluation.trajectory import align, associate
+from mv_slapse.geometry import rotation
+from mv_slapse.storage.tum import Trajectory
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+BOUND = 14.16  # chi-square of 3 degrees of freedom: as probable as 3 sigma of one, 99.73 %
+WIDTHS = (100.0, 30.0, 10.0, 3.0, 3.0, 3.0)  # sigma, of the kernel: narrower from step to step
+TRUTH_SIGMA = 1e-3  # m and rad: a camera at rest has no error of its own
+
+
+def figures(estimate: Trajectory, covariances: dict[int, np.ndarray], truth: Trajectory,
+            is_metric: bool, is_exact: bool) -> dict[str, Any]:
+    """Return how far covariances and errors agree.
+
+    Parameters
+    ----------
+    estimate, truth : Trajectory
+        [map unit], [m].
+    covariances : dict of (6, 6) arrays
+        Of (position, rotation about the axes of {W}) by stamp; poses without one are left out.
+    is_metric : bool
+        Whether the map unit is the metre; else the scale is aligned, too.
+    is_exact : bool
+        Whether the truth is right from the first pose on.
+
+    Returns
+    -------
+    dict
+        position_covered_percent: positions within 3 sigma of the true ones, after alignment.
+        pose_nees: squared errors of the pose in units of its covariance, the mean over all poses,
+        6 where it is right; None of a truth that is not exact.
+    """
+    i, j = associate(estimate.stamps, truth.stamps)
+    known = np.array([stamp in covariances for stamp in estimate.stamps[i]], bool)
+    i, j = i[known], j[known]
+    if len(i) < 3:
+        return {'position_covered_percent': None, 'pose_nees': None}
+    P = np.array([covariances[stamp] for stamp in estimate.stamps[i]])
+    P = P + np.eye(6) * TRUTH_SIGMA**2
+    square = aligned_squares(estimate.positions[i], truth.positions[j], P[:, :3, :3],
+                             not is_metric)
+    error = pose_errors(estimate, truth, i, j, is_metric) if is_exact else None
+    return {'position_covered_percent': 100 * float(np.mean(square < BOUND)),
+            'pose_nees': None if error is None else
+            float(np.mean(_squares(error, np.linalg.inv(P))))}
+
+
+def pose_errors(estimate: Trajectory, truth: Trajectory, i: np.ndarray, j: np.ndarray,
+                is_metric: bool) -> np.ndarray:
+    """Return the errors (N, 6) of poses ``i`` [map unit, rad] against the true ones ``j``.
+
+    {W} is the true pose at the estimate's first; the unit is the metre, or the first baseline.
+    """
+    first = associate(estimate.stamps[:1], truth.stamps)[1][0]
+    R_world_from_truth = truth.rotations()[first].T
+    R = R_world_from_truth @ truth.rotations()[j]
+    t = (truth.positions[j] - truth.positions[first]) @ R_world_from_truth.T
+    way = np.linalg.norm(estimate.positions[i], axis=1)
+    start = np.argmax(way > 0)
+    unit = 1.0 if is_metric else np.linalg.norm(t[start]) / way[start]
+    turn = Rotation.from_matrix(estimate.rotations()[i] @ np.swapaxes(R, 1, 2)).as_rotvec()
+    return np.c_[estimate.positions[i] - t / unit, turn]
+
+
+def aligned_squares(source: np.ndarray, target: np.ndarray, covariances: np.ndarray,
+                    with_scale: bool) -> np.ndarray:
+    """Return the squared Mahalanobis distances (N,) of positions (N, 3) from the true ones.
+
+    Aligned by iterated reweighting, with the weights of a Cauchy distribution.
+    """
+    true, information = align(target, source, with_scale).apply(target), np.linalg.inv(covariances)
+    for width in WIDTHS:
+        weight = 1 / (1 + _squares(source - true, information) / width**2)
+        true = _moved(true, source, weight[:, None, None] * information, with_scale)
+    return _squares(source - true, information)
+
+
+def _moved(true: np.ndarray, source: np.ndarray, information: np.ndarray,
+           with_scale: bool) -> np.ndarray:
+    """Return the true positions after one Gauss-Newton step of their alignment."""
+    turn = -np.array([rotation.skew(X) for X in true])
+    J = np.concatenate([turn, np.broadcast_to(np.eye(3), turn.shape), true[:, :, None]], axis=2)
+    J = J if with_scale else J[:, :, :6]
+    weighted = np.einsum('nik,nij->nkj', J, information)
+    A = np.einsum('nkj,njl->kl', weighted, J)
+    b = np.einsum('nkj,nj->k', weighted, source - true)
+    # Of a straight way the roll is unknown, and nothing depends on it.
+    step = np.linalg.lstsq(A, b)[0]
+    growth = np.exp(step[6]) if with_scale else 1.0
+    return growth * true @ rotation.exp(step[:3]).T + step[3:6]
+
+
+def _squares(error: np.ndarray, information: np.ndarray) -> np.ndarray:
+    return np.einsum('ni,nij,nj->n', error, information, error)
