@@ -37,6 +37,7 @@ LEAST_GROUND = 20  # blocks that show the ground to be where it is expected
 FAR = 1.5  # px of parallax, less is far off,
 RESTING = 0.75  # px, or rests where the camera stands
 FADING = 0.85  # of the score from pair to pair
+KEPT = 0.5  # of the score at which a region moves: enough for what was or is beside a mover
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,8 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
         members, score)
     known = _majority(members, before)
     known = np.where(known >= 0, known, _covered(members, extraction))
-    ids, next_id = _named(members, total, known, memory.next_id, threshold)
+    moves = _moves(members, motion_field.x, total, known, threshold)
+    ids, next_id = _named(members, moves, known, memory.next_id)
     # What is in no region this time is not forgotten at once.
     score = FADING * np.nan_to_num(score) * ~motion_field.ground_like
     before = np.full(len(before), -1)
@@ -260,11 +262,24 @@ def _covered(members, extraction):
     return result
 
 
-def _named(members, score, before, next_id, threshold):
+def _moves(members, x, score, before, threshold):
+    """Return which regions (R,) move.
+
+    What was called moving is given up later than it was found. So is what lies beside it and is
+    half as sure: the rest of a vehicle that fell to pieces.
+    """
+    suspect = score >= KEPT * threshold
+    moves = (score >= threshold) | suspect & (before >= FIRST_ID)
+    if np.any(moves) and np.any(suspect & ~moves):
+        tree = cKDTree(np.concatenate([x[members[i]] for i in np.flatnonzero(moves)]))
+        for i in np.flatnonzero(suspect & ~moves):
+            moves[i] = np.min(tree.query(x[members[i]])[0]) < REACH
+    return moves
+
+
+def _named(members, moves, before, next_id):
     """Return the ids (R,) of regions that move: of the region they come from, or a new one."""
     ids, taken = np.full(len(members), -1), set()
-    # What was called moving is given up later than it was found.
-    moves = score >= np.where(before >= FIRST_ID, 0.5, 1.0) * threshold
     for i in sorted(np.flatnonzero(moves), key=lambda i: -len(members[i])):
         ids[i] = before[i] if before[i] >= 0 and before[i] not in taken else next_id
         next_id += int(ids[i] == next_id)

@@ -196,8 +196,9 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
         hovers = _hovers(outline, i, at_foot[i], sigma[i], seen)
         # An oncoming car follows the lines of what stands still: that it does tells nothing then.
         distance[i] = hovers + (max(distance[i], 0.0) if hovers > 0 else distance[i])
-    # Nothing that a robot could meet ends above the horizon, higher than its camera.
-    distance[drop < LEAST_DROP] = np.minimum(distance[drop < LEAST_DROP], 0.0)
+    # Nothing that a robot could meet ends above the horizon, higher than its camera: what a
+    # mover's score came to by mistake is taken back.
+    distance[drop < LEAST_DROP] = BACK
     return np.clip(distance, BACK, STEP)
 
 

@@ -114,6 +114,24 @@ def test_what_is_far_behind_a_car_ahead_is_no_part_of_it():
     assert not np.any(found.label[trees] == Label.MOVING)
 
 
+def test_what_is_half_as_sure_moves_beside_a_mover_only():
+    pair, _, _, ground = behind_a_car_of_the_same_speed(1)
+    x = pair.x_cur.astype(float)
+    sure, beside, alone = (np.all(np.abs(x - (middle, 240)) < (30, 40), axis=1)
+                           for middle in (310, 370, 500))
+    side = np.where(sure, -8.0, 8.0)[:, None] * (1, 0)
+    own = (sure | beside | alone)[:, None]
+    pair = replace(pair, x_prev=np.where(own, x + side, pair.x_prev).astype(np.float32))
+    seen = np.zeros(len(x), int)
+    memory = Memory(0, pair.x_prev.astype(float), pair.block.astype(float), np.zeros_like(x),
+                    np.where(sure, THRESHOLD, 3.0), np.full(len(x), -1), seen)
+    found, _ = with_moving_planes(pair, ground, memory, THRESHOLD)
+    assert np.mean(found.label[sure] == Label.MOVING) == 1.0
+    assert np.mean(found.label[beside] == Label.MOVING) == 1.0
+    assert not np.any(found.label[alone] == Label.MOVING)
+    assert set(found.plane_id[sure]).isdisjoint(found.plane_id[beside])
+
+
 def test_the_id_of_a_mover_lasts(rng):
     ids = []
     for found, drawn in run(street_of('faster'), rng):

@@ -3,7 +3,7 @@
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.planes.moving import fit_surfaces, Regions
-from mv_slapse.planes.region_scores import Blocks, outlines, scores, Seen
+from mv_slapse.planes.region_scores import BACK, Blocks, outlines, scores, Seen
 import numpy as np
 import pytest
 
@@ -101,8 +101,8 @@ def test_no_pair_alone_calls_a_region_moving():
     assert score(8.0, (2.0, 0, 0)) < ExtractionSettings().moving_score
 
 
-def test_what_ends_above_the_horizon_scores_nothing():
-    assert score(12.0, (0.5, 0, 0), (-1.0, -2.0), (1.0, -0.3)) <= 0
+def test_what_ends_above_the_horizon_stands_still_however_it_moves():
+    assert score(12.0, (0.5, 0, 0), (-1.0, -2.0), (1.0, -0.3)) == BACK
 
 
 def test_what_is_flat_on_the_road_scores_nothing():
