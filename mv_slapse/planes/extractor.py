@@ -233,13 +233,14 @@ class PlaneExtractor:
         floor = seen = next((plane.plane for plane in found.planes if plane.is_ground), None)
         if floor is None and prior.spread < ground.FORGOTTEN:
             floor = prior.normal * prior.inverse_depth
-        fit = found.fit
+        rides, fit = self._memory.ground.mount.rides, found.fit
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev)
         shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
                         planes=tuple(_observations(blank.x_cur, found)),
                         sigma=pair.sigma.astype(np.float32))
         shown, self._movers = moving_regions.with_moving_planes(
-            shown, floor, self._movers, self._settings.moving_score, prior.normal)
+            shown, floor if rides else None, self._movers, self._settings.moving_score,
+            prior.normal if rides else None)
         shown = replace(shown, planes=tuple(
             plane for plane in shown.planes if plane.label is Label.MOVING))
         still = shown.label != Label.MOVING

@@ -23,6 +23,7 @@ CORRIDOR = 2.5  # camera heights to either side: beyond, kerbs, lawns and drives
 MIN_DROP = 0.03  # rad below the horizon: nearer to it a block tells nothing of the height
 ALIKE = 0.2  # share of depth by which blocks of one surface below the ground may differ
 LEARNING = 0.1  # share that one key frame has in the learned mounting
+SLOW_LEARNING = 0.01  # the same in what kind of robot it is, which does not change
 
 
 @dataclass(frozen=True)
@@ -31,12 +32,22 @@ class Mount:
 
     The spread is learned: small for a camera bolted to a car, large for one carried by hand, and
     never above ``widest``. ``courses`` have been learned from; the first ones count most.
+    ``climb`` is how far they led off the ground for as long as can be remembered [rad].
     """
 
     direction: tuple[float, float, float] = UP_CAM
     spread: float = 0.07
     widest: float = 0.07
     courses: int = 0
+    climb: float = 0.0
+
+    @property
+    def rides(self) -> bool:
+        """Tell whether the camera keeps to the ground, so that the plane along it is that.
+
+        Of a flight it may be any plane, with things on both sides of it.
+        """
+        return self.climb < self.widest
 
     @property
     def normal(self) -> np.ndarray:
@@ -59,8 +70,10 @@ class Mount:
         mean = self.normal - learning * off * course
         mean /= np.linalg.norm(mean)
         spread = np.sqrt(self.spread**2 + learning * (off**2 - self.spread**2))
+        slow = max(SLOW_LEARNING, 1 / (self.courses + 2))
+        climb = np.sqrt(self.climb**2 + slow * (off**2 - self.climb**2))
         return Mount(tuple(mean), float(np.clip(spread, least, self.widest)), self.widest,
-                     self.courses + 1)
+                     self.courses + 1, float(climb))
 
 
 @dataclass(frozen=True)

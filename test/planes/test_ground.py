@@ -62,6 +62,28 @@ def test_a_camera_that_climbs_and_sinks_keeps_a_wide_mount():
     assert mount.spread == mount.widest == 0.07
 
 
+def courses(pitch):
+    """Return courses (N, 3) in cameras that look down by ``pitch`` (N,) [rad]."""
+    return np.stack([np.zeros(len(pitch)), -np.sin(pitch), np.cos(pitch)], axis=1)
+
+
+@pytest.mark.parametrize('pitch', [0.0, 0.35])
+def test_a_camera_on_a_vehicle_rides_however_it_looks_down(rng, pitch):
+    mount, rides = Mount(), []
+    for course in courses(pitch + rng.normal(0, 0.02, 200)):
+        mount = mount.learned(course, 0.01)
+        rides.append(mount.rides)
+    assert all(rides[60:])
+
+
+def test_a_camera_that_rose_and_fell_flies_through_three_level_seconds(rng):
+    mount = Mount()
+    for course in courses(np.r_[0.5 * np.sin(0.3 * np.arange(40)), np.zeros(36)]):
+        mount = mount.learned(course, 0.01)
+    assert mount.spread < 0.03
+    assert not mount.rides
+
+
 def test_distance_counts_tilt_and_log_depth_in_standard_deviations():
     prior = GroundPrior(UP, 0.02, inverse_depth=0.5, spread=0.1)
     planes = np.array([0.5 * UP, 0.5 * pitched(0.04), 0.5 * np.exp(0.3) * UP, -0.5 * UP])

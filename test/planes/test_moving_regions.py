@@ -161,6 +161,20 @@ def test_without_ground_what_contradicts_the_flow_is_still_found(rng):
     assert np.mean(np.array(hits[2:]) > 0.4) > 0.6
 
 
+@pytest.mark.parametrize(('climb', 'least', 'most'), [(0.0, 20, 1000), (1.0, 0, 0)])
+def test_only_what_rides_knows_movers_by_their_place_on_the_ground(rng, climb, least, most):
+    street, called = street_of('slower'), 0
+    extractor = PlaneExtractor(street.camera, ExtractionSettings())
+    for j in range(STEP, 60, STEP):
+        track = extractor._memory.ground
+        extractor._memory = replace(extractor._memory, ground=replace(
+            track, mount=replace(track.mount, climb=climb)))
+        drawn = draw(street, j - STEP, j, rng, 0.3, 0.0)
+        found = extractor.extract(drawn.correspondences)
+        called += np.sum(found.label[drawn.label == Label.MOVING] == Label.MOVING)
+    assert least <= called <= most
+
+
 def test_labels_planes_and_ids_agree(rng):
     for found, _ in run(street_of('slower', 'faster'), rng, last=42):
         moving = {plane.id for plane in found.planes}
