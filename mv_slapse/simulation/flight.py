@@ -20,6 +20,7 @@ REACH = np.array([2.2, 0.7, 2.8])  # of the flight about its middle [m]
 MIDDLE = np.array([0.0, -1.9, 0.0])
 RATIOS = np.array([1.0, 1.3, 0.8])  # of the frequencies along the axes
 WAY = 2.3  # mean speed over the frequency of the flight [m]
+CLEARANCE = 0.1  # m, by which the flight keeps off the furniture
 TURNS = np.array([0.9, 0.12, 0.12])  # amplitude of yaw, pitch and roll [rad]
 TURN_RATES = np.array([0.6, 1.1, 0.9])  # their frequencies [rad/s]
 
@@ -52,7 +53,9 @@ class Flight:
         rng = np.random.default_rng(settings.seed)
         self.settings, self.lens = settings, lens
         self._phase, self._turn_phase = rng.uniform(0, 2 * np.pi, (2, 3))
-        self._room = room(settings.furniture, rng)
+        way = np.array([self._pose_in_room(i / settings.fps)[1]
+                        for i in range(settings.n_frames)])
+        self._room = room(settings.furniture, rng, way)
         self._map, self.camera = _ideal(lens)
         self._start = self._pose_in_room(0.0)
 
@@ -78,15 +81,20 @@ class Flight:
         return R.as_matrix(), MIDDLE + REACH * np.sin(swing)
 
 
-def room(n_boxes: int, rng: np.random.Generator) -> Quads:
-    """Return floor, ceiling, four walls and boxes on the floor, in {S}."""
+def room(n_boxes: int, rng: np.random.Generator, way: np.ndarray) -> Quads:
+    """Return floor, ceiling, four walls and boxes on the floor, in {S}.
+
+    Of ``n_boxes`` drawn those that the way (N, 3) would lead through are left out.
+    """
     scene, (wide, high, long) = Scene(), ROOM
     _box(scene, 'room', np.array([-wide / 2, -high, -long / 2]), np.array(ROOM),
          ('shops', 'brick', 'panels', 'windows', 'paving', 'plaster'), rng)
     for i in range(n_boxes):
         size = rng.uniform(0.5, 1.2, 3) * (1, 1.5, 1)
         corner = np.array([rng.uniform(-3.5, 3.5), -size[1], rng.uniform(-4.5, 4.5)])
-        _box(scene, f'box {i}', corner, size, rng.choice(['panels', 'brick', 'shops'], 6), rng)
+        gap = np.maximum(corner - way, way - corner - size).max(axis=1)
+        if gap.min() > CLEARANCE:
+            _box(scene, f'box {i}', corner, size, rng.choice(['panels', 'brick', 'shops'], 6), rng)
     return scene.quads()
 
 

@@ -46,3 +46,15 @@ def test_pictures_have_the_size_of_the_lens_and_a_pattern():
     moved = np.abs(first.astype(float) - second).mean()
     blurred = cv2.GaussianBlur(first, (0, 0), 3)
     assert 2 < moved < np.abs(first.astype(float) - np.roll(blurred, 40, 1)).mean()
+
+
+@pytest.mark.parametrize('seed', [10, 15, 17])
+def test_furniture_in_the_way_is_left_out(seed):
+    settings = FlightSettings(seed=seed, furniture=8, n_frames=200)
+    flight = Flight(settings=settings)
+    boxes = flight.quads_in_camera(0).corners()[6:].reshape(-1, 24, 3)
+    way = np.array([flight.pose(i)[1] for i in range(settings.n_frames)])
+    R, _ = flight._start
+    low, high = (limit(boxes @ R.T, axis=1)[:, None] for limit in (np.min, np.max))
+    assert 0 < len(boxes) < 8
+    assert not np.any(np.all((way @ R.T > low) & (way @ R.T < high), axis=2))
