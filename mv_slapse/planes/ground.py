@@ -273,9 +273,12 @@ def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rul
     sharp = below_horizon & _sharp(depths, plane)
     member = gather(depths, plane, sharp, rules)
     member |= lone & sharp & (np.abs(depths.error(plane)) < rules.cut)
-    below = sample[sample.error(plane) < -rules.cut]
-    # What has been pulled to zero, or slid along a marking, lies at all depths.
-    speaks = _most_alike(below.rho / -(below.rays @ plane)) if known else len(below)
+    error = sample.error(plane)
+    below = sample[error < -rules.cut]
+    # What has been pulled to zero, or slid along a marking, lies at all depths. What lies above a
+    # ground may stand on it; but where most blocks lie elsewhere, chance makes a ground as well.
+    speaks = (_most_alike(below.rho / -(below.rays @ plane)) if known
+              else np.sum(np.abs(error) > rules.cut))
     if (lattice.count_macroblocks(depths.x[member]) < least
             or speaks > member.sum() or prior.distance(plane[None])[0] > 9):
         return None

@@ -274,6 +274,19 @@ def test_what_lies_below_speaks_against_a_ground(rng):
     assert ground.find_ground(mixed, np.ones(len(rho), bool), prior, RULES, rng) is None
 
 
+def test_a_ground_nobody_knows_is_not_found_among_vectors_that_lie_anywhere(rng):
+    depths, surface, _ = road_depths(rng)
+    kept = np.flatnonzero(surface == 0)
+    anywhere = depths.rho * np.exp(rng.uniform(0.3, 2, len(depths)))
+    for share, is_found in ((0.35, True), (0.65, False)):
+        wrong = rng.uniform(size=len(depths)) < share
+        mixed = replace(depths, rho=np.where(wrong, anywhere, depths.rho))[kept]
+        free = np.ones(len(kept), bool)
+        assert (ground.find_ground(mixed, free, FRESH, RULES, rng) is not None) is is_found
+        known = GroundPrior(UP, 0.02, 1 / 1.6, 0.05)
+        assert ground.find_ground(mixed, free, known, RULES, rng) is not None
+
+
 def test_too_few_blocks_are_no_ground(rng):
     depths, surface, _ = road_depths(rng)
     free = np.zeros(len(depths), bool)
