@@ -97,6 +97,7 @@ def _key_frames(stamps: np.ndarray, movers: Table) -> dict[int, int]:
 
 
 def _matches(rows: Table, movers: Table, frames: dict[int, int]) -> list[Match]:
+    """Return which obstacle meets each mover; one before another car is not that car, too."""
     found = []
     for stamp, true in frames.items():
         mine, there = (np.flatnonzero(table['stamp'] == at)
@@ -105,7 +106,8 @@ def _matches(rows: Table, movers: Table, frames: dict[int, int]) -> list[Match]:
             continue
         overlap = iou(boxes(select(rows, mine)), boxes(select(movers, there)))
         found += [Match(stamp, int(movers['id'][b]), int(mine[overlap[:, k].argmax()]), int(b))
-                  for k, b in enumerate(there) if overlap[:, k].max() >= SAME]
+                  for k, b in enumerate(there) if overlap[:, k].max() >= SAME
+                  and overlap[overlap[:, k].argmax()].argmax() == k]
     return found
 
 

@@ -16,7 +16,7 @@ from mv_slapse.records import Extraction, Label, ScalePrior
 import numpy as np
 
 LEAST_SHARE = 0.5  # of the blocks there that must move with the obstacle
-LEAST_COVERED = 0.3  # share of its box that these must cover
+LEAST_COVERED = 0.3  # share of its box, and of the lower half of that, that these must cover
 GATE = 0.99  # share of its own blocks that pass
 ITERATIONS = 3
 FOLLOW = 0.3  # share by which the outline follows what is found
@@ -45,9 +45,8 @@ def found(mu: np.ndarray, P: np.ndarray, x: np.ndarray, block: np.ndarray,
     rays = to_rays(view.K, extraction.x_cur[at].astype(float))
     theta, information, own = _rate(mu, P, rays, extraction, at, view,
                                     settings.vector_bias)
-    area = extraction.block[at[own]].astype(float).prod(axis=1).sum()
     if (own.sum() < max(settings.min_macroblocks, LEAST_SHARE * len(at))
-            or area < LEAST_COVERED * np.prod(box[2:])):
+            or not _covers(extraction, at[own], box)):
         return None
     seen = box_of(extraction.x_cur[at[own]].astype(float), extraction.block[at[own]].astype(float))
     z, R = _observed(mu, P, theta / view.dt, np.linalg.inv(information) / view.dt**2)
@@ -73,6 +72,17 @@ def _free(extraction, box):
     x = extraction.x_cur
     inside = np.all((x >= box[:2]) & (x <= box[:2] + box[2:]), axis=1)
     return np.flatnonzero(inside & ~np.isin(extraction.plane_id, kept))
+
+
+def _covers(extraction, own, box):
+    """Tell whether blocks (M,) int cover enough of a box, and of its lower half.
+
+    What is far behind a car ahead moves as it does, but not where the car hides the road.
+    """
+    area = extraction.block[own].astype(float).prod(axis=1)
+    low = extraction.x_cur[own, 1] > box[1] + box[3] / 2
+    least = LEAST_COVERED * np.prod(box[2:])
+    return bool(area.sum() >= least and area[low].sum() >= least / 2)
 
 
 def _rate(mu, P, rays, extraction, at, view, bias):

@@ -90,6 +90,14 @@ def test_obstacles_are_false_where_no_mover_is_visible():
     assert figures(table(rows), movers(range(6)))['false_obstacles_per_frame'] == 14 / N
 
 
+def test_an_obstacle_before_another_car_is_not_that_car_too():
+    true = table([(k, MOVER + i, 32 + 20 * i) for k in range(N) for i in (0, 1)])
+    found = figures(table([(k, 5, 52) for k in range(N)]), true)
+    assert (found['movers_tracked'], found['movers_trackable']) == (1, 2)
+    both = figures(table([(k, 5 + i, 32 + 20 * i) for k in range(N) for i in (0, 1)]), true)
+    assert both['movers_tracked'] == 2
+
+
 def test_a_change_of_identity_is_counted_within_a_passage_only():
     rows = table([(k, 5 if k < 10 else 7, 32) for k in range(N)])
     assert figures(rows)['identity_switches'] == 1

@@ -96,6 +96,14 @@ def test_blocks_of_other_movers_and_of_the_ground_stay_theirs(drive, rng, label)
     assert found(item, replace(extraction, planes=(wall,)), view) is not None
 
 
+def test_what_is_seen_only_above_the_road_is_what_lies_behind(drive, rng):
+    extraction, view, item = moment(drive, 0.5, rng)
+    top, height = item.box[1], item.box[3]
+    high = extraction.x_cur[:, 1] < top + height / 2
+    moved = np.where(high[:, None], extraction.x_prev, extraction.x_prev + np.float32([9, -9]))
+    assert found(item, replace(unlabelled(extraction), x_prev=moved), view) is None
+
+
 def test_a_few_blocks_are_not_enough(drive, rng):
     extraction, view, item = moment(drive, 0.5, rng)
     few = unlabelled(extraction)
