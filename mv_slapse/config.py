@@ -158,6 +158,9 @@ class SceneSettings(Checked):
         'flight turns round in 2 s', 0.0)
     angular_acceleration: float = setting(
         1.0, 'rad/s^1.5', 'random walk of the angular velocity', 0.0)
+    turn_rate: float = setting(
+        0.5, 'rad/s', 'standard deviation of the angular velocity, however long nothing is seen: '
+        'a car turns a corner with 0.6 rad/s', 0.01)
     ground_slope: float = setting(
         0.005, 'rad/m^0.5', 'random walk of the ground normal along the way: 3 deg in 100 m', 0.0)
     relief: float = setting(

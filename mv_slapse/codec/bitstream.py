@@ -328,3 +328,15 @@ def is_b_picture(data: bytes) -> bool:
             byte = data[at + 5] if shift == 3 else data[at + 4]
             return (byte >> shift) & (7 if shift == 3 else 3) == b
     return False
+
+
+def picture_number(data: bytes) -> tuple[bool, int] | None:
+    """Return whether an MPEG-1 or MPEG-2 packet begins a group of pictures, and its place in it.
+
+    The place, temporal_reference, counts pictures as they are shown. None of a packet without a
+    picture header.
+    """
+    at = data.find(b'\x00\x00\x01\x00')
+    if at < 0 or len(data) < at + 6:
+        return None
+    return 0 <= data.find(b'\x00\x00\x01\xb8') < at, data[at + 4] << 2 | data[at + 5] >> 6

@@ -9,7 +9,7 @@ little as well: H.264 codes most of their blocks in one direction.
 import cv2
 from mv_slapse.codec.evidence import Evidence
 from mv_slapse.codec.prior import at, MotionPrior
-from mv_slapse.codec.segments import Segment
+from mv_slapse.codec.segments import LONGEST, Segment
 from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.records import FrameType
@@ -21,10 +21,11 @@ FLAT = 1e-4  # smallest eigenvalue of a macroblock that has texture in two direc
 
 
 def can_bridge(segment: Segment) -> bool:
-    """Return whether both pictures are there and only the vectors are missing."""
+    """Return whether both pictures are there and near, and only the vectors are missing."""
     return (segment.current.frame_type is FrameType.I and segment.previous.luma is not None
             and segment.current.luma is not None and not segment.current.damage
-            and segment.previous.luma.shape == segment.current.luma.shape)
+            and segment.previous.luma.shape == segment.current.luma.shape
+            and segment.current.stamp - segment.previous.stamp <= LONGEST)
 
 
 def search(segment: Segment, expect: MotionPrior, settings: DecoderSettings) -> Evidence:

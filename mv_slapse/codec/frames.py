@@ -11,6 +11,8 @@ import numpy as np
 WITH_VECTORS = ('h264', 'mpeg2video', 'mpeg1video', 'mpeg4', 'h263', 'flv1')
 MAX_PIXELS = 64_000_000
 LONGEST_REORDERING = 2_000_000_000  # ns; a stamp farther back is a source that began again
+NUMBERED = ('mpeg1video', 'mpeg2video')
+PLACES = 1024  # values of temporal_reference
 CURE = ('re-encode it, for instance with: ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 '
         'OUTPUT.mp4, or: ffmpeg -i INPUT -c:v mpeg2video -q:v 3 -bf 3 -g 12 OUTPUT.mpg')
 
@@ -36,7 +38,7 @@ class FrameDecoder:
         self._with_luma = with_luma
         self._context = None
         self._headers = bitstream.Headers()
-        self._stamps = _Stamps()
+        self._stamps, self._numbers = _Stamps(), _Numbers()
         self._damage: dict[int, str] = {}
         self._references: dict[int, int] = {}
         self._lost = ''
@@ -102,6 +104,8 @@ class FrameDecoder:
                 self._damage[self._count] = 'a reference picture was lost (gap in frame_num)'
         elif not bitstream.is_b_picture(packet.data):
             self._last_key = packet.data
+        if self._context.name in NUMBERED:
+            self._numbers.add(self._count, packet.data)
         return _numbered(packet.data, self._count)
 
     def _decode(self, wrapped: av.Packet | None) -> list[FrameVectors]:
@@ -120,6 +124,8 @@ class FrameDecoder:
         kind = FrameType(kind) if kind in (1, 2, 3) else FrameType.I
         stamp = self._stamps.take(picture.pts, kind)
         damage, self._lost = self._damage.pop(picture.pts, '') or self._lost, ''
+        if not self._numbers.follows(picture.pts):
+            damage = damage or 'pictures were lost (gap in temporal_reference)'
         if getattr(picture, 'is_corrupt', False):
             damage = damage or 'the decoder calls the picture corrupt'
         references = self._references.pop(picture.pts, 1)
@@ -165,6 +171,27 @@ class _Stamps:
         for old in [n for n in self._pending if n < number - 64]:
             self._pending.pop(old)
         return stamp
+
+
+class _Numbers:
+    """Places of MPEG-1 and MPEG-2 pictures in their groups: a gap tells that some were lost."""
+
+    def __init__(self):
+        self._places: dict[int, tuple[int, int]] = {}
+        self._groups, self._next = 0, (0, 0)
+
+    def add(self, number: int, data: bytes):
+        """Note the place of a packet, by its number; packets come in the order of decoding."""
+        found = bitstream.picture_number(data)
+        if found is not None:
+            self._groups += found[0]
+            self._places[number] = self._groups, found[1]
+
+    def follows(self, number: int) -> bool:
+        """Return whether a packet's picture is the next to be shown."""
+        group, place = self._places.pop(number, self._next)
+        expected, self._next = self._next, (group, (place + 1) % PLACES)
+        return (group, place) in (expected, (expected[0] + 1, 0))
 
 
 def _numbered(data: bytes, number: int) -> av.Packet:

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from mv_slapse.codec.motion_vectors import FrameVectors
 from mv_slapse.records import FrameType, SegmentKind
 
+LONGEST = 1_000_000_000  # ns between key frames; no encoder searches so far
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -71,6 +73,8 @@ def _why_broken(previous: FrameVectors, between: tuple[FrameVectors, ...],
     if (previous.width, previous.height) != (current.width, current.height):
         return (f'the picture size changed from {previous.width}x{previous.height} to '
                 f'{current.width}x{current.height}')
+    if current.stamp - previous.stamp > LONGEST:
+        return 'the key frames lie too far apart for vectors: pictures between them were lost'
     if current.frame_type is FrameType.I and not any(len(frame) for frame in between):
         return 'an I frame without B frames before it: no vector joins it to the past'
     return ''

@@ -39,7 +39,6 @@ STANDING = 'the camera stands still'
 TURNING = 'the camera turns on the spot'
 SCALELESS = ('no known plane is in view: the direction of the way is observed, its length is '
              'predicted')
-TOO_LONG = 'the key frames lie too far apart for vectors: pictures between them were lost'
 CONTRADICTED = 'all known planes in view contradict the map'
 FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
 PAIR_HEIGHT = 1e-3  # share of the height by which a pair errs besides: crown and ruts
@@ -105,11 +104,7 @@ class SceneFilter:
         dt = (extraction.stamp - self._progress.stamp) * 1e-9
         self._progress.stamp = extraction.stamp
         reason = extraction.reason
-        if status == MotionStatus.MOVING and dt > self._settings.lost_after:
-            status, reason = MotionStatus.UNKNOWN, TOO_LONG
-        # Where the scale is free, planes seen before the loss are all that holds it.
-        if (status != MotionStatus.UNKNOWN and self._progress.metric
-                and scene_gauge.is_vague(self._state)):
+        if status != MotionStatus.UNKNOWN and scene_gauge.is_vague(self._state):
             self._begin_anew()
         if status == MotionStatus.STANDSTILL:
             return self._stand(extraction)
@@ -117,9 +112,10 @@ class SceneFilter:
             return self._turn(extraction, dt)
         if self._progress.supported is None and status != MotionStatus.MOVING:
             return TrackingStatus.INITIALISING, reason
-        self._predict(dt)
         if status == MotionStatus.UNKNOWN:
+            self._coast(dt)
             return self._unsupported(extraction.stamp, reason)
+        self._predict(dt)
         return self._correct(extraction, follows)
 
     def _catch_up(self, extraction: Extraction) -> bool:
@@ -131,7 +127,7 @@ class SceneFilter:
         if gap <= 0:
             return True
         if self._progress.supported is not None:
-            self._predict(gap)
+            self._coast(gap)
         self._progress.stamp = extraction.previous_stamp
         return False
 
@@ -140,7 +136,7 @@ class SceneFilter:
         for id in list(self._state.planes):
             self._map.leave(self._state, id)
             self._state.remove_plane(id)
-        scene_gauge.begin_anew(self._state)
+        scene_gauge.begin_anew(self._state, self._progress.metric)
         self._progress.anew = self._progress.started
 
     def _stand(self, extraction: Extraction):
@@ -188,7 +184,8 @@ class SceneFilter:
                    else settings.free_acceleration * self._progress.fastest)
         # Between two key frames a start is no random walk.
         density *= START if self._progress.rested else 1.0
-        scene_state.propagate(state, dt, density, settings.angular_acceleration)
+        scene_state.propagate(state, dt, density, settings.angular_acceleration,
+                              settings.turn_rate)
         self._sway(dt)
         ground = self._map.ground
         if ground in state.planes:
@@ -198,6 +195,15 @@ class SceneFilter:
             height = 1 / np.linalg.norm(state.planes[ground].plane)
             metres = speed * dt * (1.0 if self._progress.metric else 1.5 / height)
             scene_state.bend(state, ground, settings.ground_slope * np.sqrt(metres))
+
+    def _coast(self, dt: float):
+        """Move on without a view; a camera that is mounted on a vehicle stays upright."""
+        self._predict(dt)
+        self._progress.carried = False
+        ground = self._map.ground
+        if ground in self._state.planes and self._state.velocity.any():
+            self._state = scene_update.observe(self._state, self._rigid(ground),
+                                               self._settings.iterations)
 
     def _sway(self, dt: float):
         """Let the camera's height above the road swing for dt [s]."""
@@ -228,7 +234,7 @@ class SceneFilter:
             index[plane_id == id] = i
         start = self._state.error_to(replace(self._state, current=shown))
         ratio = self._ratio(extraction, settings) if follows and self._progress.carried else []
-        observations = [*self._rigid(extraction, ground), *self._gauge(baseline), *ratio]
+        observations = [*self._rigid(ground), *self._gauge(baseline, first), *ratio]
         self._state = scene_update.update(
             self._state, start, pair, index, ids, settings, observations)
         if not ratio:
@@ -334,18 +340,18 @@ class SceneFilter:
         scene_state.move_depth_scale(self._state, log, sigma)
         return [partial(scene_observations.baseline_ratio, sigma=settings.ratio_sigma)]
 
-    def _gauge(self, baseline: float) -> list[Observe]:
+    def _gauge(self, baseline: float, first: bool) -> list[Observe]:
         """Return the length of the first baseline, which is the unit, or the guess after a rest.
 
         Predicted from rest a baseline is zero, about which its direction would mean nothing.
         """
         progress = self._progress
-        if progress.started and not progress.rested:
+        if not (first or progress.rested):
             return []
-        sigma = REST_SIGMA if progress.started or progress.metric else 1e-3
+        sigma = REST_SIGMA if progress.rested or progress.metric else 1e-3
         return [partial(scene_observations.baseline, length=baseline, sigma=sigma)]
 
-    def _rigid(self, extraction: Extraction, ground: int | None) -> list[Observe]:
+    def _rigid(self, ground: int | None) -> list[Observe]:
         """Return what is known of a mounted camera."""
         settings = self._settings
         if settings.camera_height and ground is not None:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import cv2
+from mv_slapse.filters import scene_gauge
 from mv_slapse.filters.scene_state import SceneState
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
@@ -132,7 +133,7 @@ class SceneMap:
         J = plane_geometry.normal_depth_jacobian(anchored.plane)
         # n X + d = 0 about the anchor is n X + (d - n anchor) = 0 in {W}.
         J[3] -= anchored.anchor @ J[:3]
-        covariance = J @ state.error.covariance(id) @ J.T
+        covariance = J @ scene_gauge.covariance(state, id) @ J.T
         outline = np.zeros((0, 3)) if sighting.outline is None else sighting.outline
         return MapPlane(id, normal, depth - normal @ anchored.anchor, covariance, outline,
                         sighting.first_stamp, sighting.last_stamp, sighting.n_observations,
@@ -145,8 +146,8 @@ class SceneMap:
         plane = anchored.plane / scale
         J = np.eye(3) / scale + np.outer(anchored.plane, anchored.anchor) / scale**2
         covariance = np.zeros((6, 6))
-        covariance[:3, :3] = J @ state.error.covariance(id) @ J.T
-        covariance[3:, 3:] = state.error.covariance('velocity') + np.eye(3)
+        covariance[:3, :3] = J @ scene_gauge.covariance(state, id) @ J.T
+        covariance[3:, 3:] = scene_gauge.covariance(state, 'velocity') + np.eye(3)
         return PlaneHandover(stamp, id, Label.MOVING, plane, np.zeros(3), covariance)
 
 

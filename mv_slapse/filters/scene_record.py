@@ -1,5 +1,6 @@
 """The state of the scene filter written down as a record: estimate."""
 
+from mv_slapse.filters import scene_gauge
 from mv_slapse.filters.scene_state import SceneState
 from mv_slapse.records import MapPlane, ScaleStatus, SceneEstimate, TrackingStatus
 import numpy as np
@@ -8,15 +9,14 @@ import numpy as np
 def estimate(state: SceneState, planes: tuple[MapPlane, ...], stamp: int, status: TrackingStatus,
              reason: str, metric: bool) -> SceneEstimate:
     """Return the record of a state and of its map; ``metric``: whether lengths are metres."""
-    P, cur = state.error.total, state.at('current')
-    order = np.r_[cur.start + 3:cur.stop, cur.start:cur.start + 3]
-    # Errors turn about the camera's axes in the state, about those of {W} in the record.
-    turn = np.eye(6)
-    turn[3:, 3:] = state.current.R
-    rates = np.r_[state.at('velocity'), state.at('omega')]
+    # The state has the rotation first, about the camera's axes; the record about those of {W}.
+    turn = np.zeros((6, 6))
+    turn[:3, 3:], turn[3:, :3] = np.eye(3), state.current.R
+    pose = turn @ scene_gauge.covariance(state, 'current') @ turn.T
     return SceneEstimate(
-        stamp, status, reason, state.current.R.copy(), state.current.t.copy(),
-        turn @ P[np.ix_(order, order)] @ turn.T, state.velocity.copy(), state.omega.copy(),
-        P[np.ix_(rates, rates)], ScaleStatus.METRIC if metric else ScaleStatus.UNKNOWN,
+        stamp, status, reason, state.current.R.copy(), state.current.t.copy(), pose,
+        state.velocity.copy(), state.omega.copy(),
+        scene_gauge.covariance(state, 'velocity', 'omega'),
+        ScaleStatus.METRIC if metric else ScaleStatus.UNKNOWN,
         'camera height' if metric else 'first translation', planes,
         float(np.linalg.norm(state.current.t - state.previous.t)))

@@ -15,9 +15,9 @@ import numpy as np
 CAMERA_BLOCKS = ('previous', 'current', 'velocity', 'omega')
 FAINT = 0.5  # of the log of a baseline: beyond, it may as well be none at all
 # Errors that are not estimated: turn by which all vectors err, place in their blocks that they
-# tell of, camera height, pose at which the scene began anew.
-TURN, PLACE, HEIGHT, GAUGE = slice(0, 3), slice(3, 5), slice(5, 6), slice(6, 12)
-N_LASTING = GAUGE.stop
+# tell of, camera height.
+TURN, PLACE, HEIGHT = slice(0, 3), slice(3, 5), slice(5, 6)
+N_LASTING = HEIGHT.stop
 
 
 @dataclass
@@ -41,6 +41,18 @@ class AnchoredPlane:
 
 
 @dataclass
+class Gauge:
+    """How the whole scene lies in {W}, where it has begun anew at a ``place`` (3,).
+
+    ``covariance`` (7, 7) of a turn about that place, axes of {W} [rad], of a shift, and of the log
+    of all lengths.
+    """
+
+    place: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((7, 7)))
+
+
+@dataclass
 class SceneState:
     """Nominal values and the covariance of their errors.
 
@@ -59,6 +71,7 @@ class SceneState:
     heave: float = 0.0
     planes: dict[int, AnchoredPlane] = field(default_factory=dict)
     error: ekf.State = field(default_factory=lambda: ekf.State(N_LASTING))
+    gauge: Gauge = field(default_factory=Gauge)
 
     @property
     def size(self) -> int:
@@ -94,7 +107,7 @@ class SceneState:
             pose['previous'], pose['current'], self.velocity + e[self.at('velocity')],
             self.omega + e[self.at('omega')], mount / np.linalg.norm(mount),
             self.depth_scale + float(e[self.at('depth_scale')][0]),
-            self.heave + float(e[self.at('heave')][0]), planes, self.error)
+            self.heave + float(e[self.at('heave')][0]), planes, self.error, self.gauge)
 
     def _moved_pose(self, name: str, e: np.ndarray) -> Pose:
         """Return a pose moved by its error (6,)."""
@@ -125,35 +138,50 @@ def start(mount: np.ndarray, velocity_sigma: float, omega_sigma: float,
     return state
 
 
-def propagate(state: SceneState, dt: float, acceleration: float, angular_acceleration: float):
+def propagate(state: SceneState, dt: float, acceleration: float, angular_acceleration: float,
+              turn_rate: float):
     """Clone the current pose and move the camera by dt [s] at constant velocity.
 
     White noise of acceleration [unit/s^1.5] and angular acceleration [rad/s^1.5] densities
-    enters the velocities and, integrated, the pose.
+    enters the velocities and, integrated, the pose. The angular velocity is forgotten at the rate
+    at which its standard deviation never exceeds ``turn_rate`` [rad/s] (Ornstein-Uhlenbeck).
     """
-    turn = rotation.exp(state.omega * dt)
+    rate = 0.5 * (angular_acceleration / turn_rate)**2
+    left, reach = np.exp(-rate * dt), -np.expm1(-rate * dt) / rate if rate else dt
+    turn = rotation.exp(state.omega * reach)
     F = np.eye(state.size)
     prev, cur, vel, om = (state.at(name) for name in CAMERA_BLOCKS)
+    theta, place = slice(cur.start, cur.start + 3), slice(cur.start + 3, cur.stop)
     F[prev] = 0
     F[prev, cur] = np.eye(6)
-    F[cur.start:cur.start + 3, cur.start:cur.start + 3] = turn.T
-    F[cur.start:cur.start + 3, om] = dt * np.eye(3)
-    F[cur.start + 3:cur.stop, vel] = dt * np.eye(3)
+    F[theta, theta] = turn.T
+    F[theta, om], F[om, om] = reach * np.eye(3), left * np.eye(3)
+    F[place, vel] = dt * np.eye(3)
     Q = np.zeros_like(F)
-    _integrated_noise(Q, slice(cur.start + 3, cur.stop), vel, acceleration, dt)
-    _integrated_noise(Q, slice(cur.start, cur.start + 3), om, angular_acceleration, dt)
+    _integrated_noise(Q, place, vel, acceleration, (dt**3 / 3, dt**2 / 2, dt))
+    _integrated_noise(Q, theta, om, angular_acceleration, _forgetful(dt, rate))
     state.previous = state.current.copy()
     state.current = Pose(state.current.R @ turn, state.current.t + state.velocity * dt)
+    state.omega = left * state.omega
     ekf.predict(state.error, state.error.mu, F, Q)
 
 
-def _integrated_noise(Q, value: slice, rate: slice, density: float, dt: float):
-    """Add the covariance of a rate driven by white noise, and of its integral."""
-    q = density**2
-    Q[value, value] += np.eye(3) * q * dt**3 / 3
-    Q[rate, rate] += np.eye(3) * q * dt
-    Q[value, rate] += np.eye(3) * q * dt**2 / 2
-    Q[rate, value] += np.eye(3) * q * dt**2 / 2
+def _integrated_noise(Q, value: slice, rate: slice, density: float, moments):
+    """Add the covariance of a rate driven by white noise, and of its integral.
+
+    ``moments``: of unit noise, the variance of the integral, the covariance, the rate's variance.
+    """
+    for row, column, moment in ((value, value, moments[0]), (value, rate, moments[1]),
+                                (rate, value, moments[1]), (rate, rate, moments[2])):
+        Q[row, column] += np.eye(3) * density**2 * moment
+
+
+def _forgetful(dt: float, rate: float) -> tuple[float, float, float]:
+    """Return the moments of an Ornstein-Uhlenbeck process of a rate [1/s] after dt [s]."""
+    if not rate:
+        return dt**3 / 3, dt**2 / 2, dt
+    reach, variance = -np.expm1(-rate * dt) / rate, -np.expm1(-2 * rate * dt) / (2 * rate)
+    return (dt - 2 * reach + variance) / rate**2, reach**2 / 2, variance
 
 
 def halt(state: SceneState, omega: np.ndarray, covariance: np.ndarray):
@@ -256,6 +284,8 @@ def scale_lengths(state: SceneState, factor: float):
     for id, plane in state.planes.items():
         D[state.at(id)] = 1 / factor
         plane.plane, plane.anchor = plane.plane / factor, plane.anchor * factor
+    unit = np.r_[1, 1, 1, factor, factor, factor, 1]
+    state.gauge = Gauge(factor * state.gauge.place, unit[:, None] * state.gauge.covariance * unit)
     state.error.P = D[:, None] * state.error.P * D
     state.error.lasting = D[:, None] * state.error.lasting
 

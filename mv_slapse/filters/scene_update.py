@@ -6,7 +6,7 @@ relinearised steps (an iterated EKF). One after another they would each be linea
 ones before have led, and lengths, which a pair alone leaves open, would contradict each other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from mv_slapse.config import SceneSettings
@@ -65,11 +65,34 @@ def update(state: SceneState, start: np.ndarray, pair: two_view.Pair, index: np.
     state : SceneState
         Updated values and covariance.
     """
+    def told(moved: SceneState, step: int) -> Information:
+        """Return what the pair and the observations tell, linearised at a state."""
+        return _joined(_of_pair(moved, pair, index, ids, settings, step == 0), moved, observations)
+
+    return _settled(state, start, told, settings.iterations)
+
+
+def observe(state: SceneState, observations: Sequence[Observe], iterations: int) -> SceneState:
+    """Update with direct observations alone, where there are no correspondences."""
+    nothing = Information(np.zeros((state.size, state.size)), np.zeros(state.size),
+                          np.zeros((state.size, N_LASTING)))
+    return _settled(state, np.zeros(state.size),
+                    lambda moved, _: _joined(nothing, moved, observations), iterations)
+
+
+def _joined(told: Information, state: SceneState, observations: Sequence[Observe]) -> Information:
+    """Return it with direct observations of a state."""
+    for observation in observations:
+        told = told.joined(observation(state))
+    return told
+
+
+def _settled(state: SceneState, start: np.ndarray,
+             tell: Callable[[SceneState, int], Information], iterations: int) -> SceneState:
+    """Return the maximum of the posterior, found from an error at which to linearise first."""
     e, moved = start, state.moved(start)
-    for step in range(settings.iterations):
-        told = _of_pair(moved, pair, index, ids, settings, step == 0)
-        for observe in observations:
-            told = told.joined(observe(moved))
+    for step in range(iterations):
+        told = tell(moved, step)
         of, gain = _gain(state.P, told)
         e_new = gain @ (told.vector + told.matrix @ e)[of]
         moved = state.moved(e_new)

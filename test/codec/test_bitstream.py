@@ -75,6 +75,14 @@ def test_b_frames_leave_no_gap(rng):
     assert not any(headers.is_gap(headers.read_slice(packet.data)) for packet in packets)
 
 
+def test_mpeg_pictures_are_counted_as_they_are_shown(rng):
+    packets = encode(pictures.sliding(rng, 16, (2, 1)), 30, Encoding('mpeg2video', 2, 6))
+    found = [bitstream.picture_number(packet.data) for packet in packets]
+    assert found[:7] == [(True, 0), (False, 3), (False, 1), (False, 2), (True, 2), (False, 0),
+                         (False, 1)]
+    assert bitstream.picture_number(b'\x00\x00\x01\xb3 without a picture') is None
+
+
 def test_length_prefixed_units_and_their_parameter_sets_are_read(rng):
     units = [b'\x67' + bytes(9), b'\x68\xaa', b'\x65' + bytes([7]) * 300]
     avcc = b''.join(len(unit).to_bytes(4, 'big') + unit for unit in units)

@@ -94,6 +94,20 @@ def test_a_lost_reference_is_damage_of_the_picture_after_it(rng):
     assert [i for i, frame in enumerate(frames) if 'lost' in frame.damage] == [4]
 
 
+@pytest.mark.parametrize(('b_frames', 'lost', 'expected'), [
+    (0, range(0), []), (3, range(0), []), (0, range(7, 10), [10]), (3, range(6, 9), [8]),
+    (3, range(9, 13), [13])])
+def test_lost_pictures_of_mpeg_leave_a_gap_in_the_places_of_those_around(
+        rng, b_frames, lost, expected):
+    packets = list(encode(pictures.sliding(rng, 30, (2, 1)), 30, Encoding('mpeg2video', b_frames,
+                                                                          12)))
+    decoder = FrameDecoder(with_luma=False)
+    frames = [frame for i, packet in enumerate(packets) if i not in lost
+              for frame in decoder.feed(packet)] + decoder.flush()
+    damaged = [round(frame.stamp * 30e-9) for frame in frames if frame.damage]
+    assert damaged[:1] == expected
+
+
 @pytest.mark.parametrize('codec', ['hevc', 'vp9', 'av1', 'mjpeg', ''])
 def test_a_codec_without_vectors_is_refused_with_a_cure(codec):
     with pytest.raises(UnusableInput, match='ffmpeg -i INPUT'):

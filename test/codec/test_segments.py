@@ -1,5 +1,5 @@
 from mv_slapse.codec.motion_vectors import FrameVectors
-from mv_slapse.codec.segments import SegmentBuilder
+from mv_slapse.codec.segments import LONGEST, SegmentBuilder
 from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
 import pytest
@@ -62,3 +62,10 @@ def test_stamps_that_do_not_increase_break_the_segment(stamp):
     segment = segments('IPP', at2={'stamp': stamp})[1]
     assert segment.kind is SegmentKind.BROKEN
     assert 'stamps' in segment.reason
+
+
+def test_key_frames_seconds_apart_are_not_joined():
+    segment = segments('IPP', at2={'stamp': LONGEST + 2})[1]
+    assert segment.kind is SegmentKind.BROKEN
+    assert 'too far apart' in segment.reason
+    assert segments('IPP', at2={'stamp': LONGEST + 1})[1].kind is SegmentKind.PP

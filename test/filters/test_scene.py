@@ -136,7 +136,7 @@ def test_lost_comes_after_lost_after_and_ends_with_a_view(rng):
     assert 'nothing observed for 1.5 s' in estimate.reason
     found = driven(canyon, 21, filter_=filter_, first=21)[0]
     assert found.status is TrackingStatus.OK
-    np.testing.assert_allclose(found.R_world_from_cam, canyon.pose(21)[0], atol=0.05)
+    assert nees(canyon, found, 21) < 25
 
 
 def nees(canyon, estimate, k):
@@ -313,7 +313,7 @@ def test_what_touches_a_mover_and_is_on_no_plane_is_left_out():
 def test_a_road_that_may_slope_is_less_sure_of_its_normal():
     spread = []
     for slope in (0.0, 0.05):
-        canyon, filter_ = Canyon(), SceneFilter(replace(METRIC, ground_slope=slope))
+        canyon, filter_ = Canyon(), SceneFilter(SceneSettings(ground_slope=slope))
         driven(canyon, 10, filter_=filter_)
         ground = filter_.step(canyon.blank(11))[0].planes[GROUND]
         spread.append(np.trace(ground.covariance[:3, :3]))
@@ -327,15 +327,32 @@ def test_the_same_extractions_give_the_same_bits():
         np.testing.assert_array_equal(one.pose_covariance, two.pose_covariance)
 
 
-def test_a_pair_that_spans_a_gap_says_nothing_of_the_motion():
+@pytest.mark.parametrize('settings', [METRIC, SceneSettings()])
+def test_after_two_seconds_without_a_view_the_covariance_covers_the_error(rng, settings):
+    """The road bends and the car brakes meanwhile."""
+    canyon = Canyon(rng, 0.3, yaw_rate=0.3, way=lambda time: SPEED * min(time, 2.0) + 0.6 * SPEED
+                    * max(time - 2.0, 0.0))
+    filter_ = SceneFilter(settings)
+    unit = 1.0 if settings.camera_height else 0.1 * SPEED
+    driven(canyon, 10, filter_=filter_)
+    statuses = [filter_.step(canyon.blank(k))[0].status for k in range(11, 31)]
+    after = driven(canyon, 50, filter_=filter_, first=31)
+    assert statuses[-1] is TrackingStatus.LOST
+    assert all(e.status is TrackingStatus.OK for e in after[5:])
+    for i, estimate in enumerate(after):
+        error = canyon.pose(31 + i)[1] / unit - estimate.t_world_from_cam
+        assert error @ np.linalg.solve(estimate.pose_covariance[:3, :3], error) < 14.2
+    assert 0.1 < after[-1].pose_covariance[4, 4]**0.5 < 0.7  # what a car may have turned
+
+
+def test_a_mounted_camera_stays_upright_while_nothing_is_seen():
     canyon, filter_ = Canyon(), SceneFilter(METRIC)
     driven(canyon, 10, filter_=filter_)
-    wrong = replace(canyon.extraction(11), stamp=stamp(25), baseline_ratio=2.0)
-    estimate, _ = filter_.step(wrong)
-    assert estimate.status is TrackingStatus.LOST
-    assert 'too far apart' in estimate.reason
-    back, _ = filter_.step(canyon.extraction(26))
-    assert back.status is TrackingStatus.OK
+    for k in range(11, 31):
+        estimate = filter_.step(canyon.blank(k))[0]
+    pitch, yaw, roll = np.sqrt(np.diag(estimate.pose_covariance))[3:]
+    assert max(pitch, roll) < 0.05 < 0.5 < yaw
+    assert estimate.pose_covariance[1, 1]**0.5 < 0.6  # m: the road itself may rise
 
 
 def test_a_heading_that_was_lost_stays_as_uncertain_as_it_was(rng):
@@ -345,7 +362,7 @@ def test_a_heading_that_was_lost_stays_as_uncertain_as_it_was(rng):
     after = driven(canyon, 50, filter_=filter_, first=31)
     heading = [e.pose_covariance[4, 4]**0.5 for e in after]
     assert before.pose_covariance[4, 4]**0.5 < 0.01
-    assert min(heading) > 0.99 * heading[0] > 1.0
+    assert min(heading) > 0.99 * heading[0] > 0.4
     assert all(e.status is TrackingStatus.OK for e in after)
     assert [e.baseline for e in after[5:]] == pytest.approx([0.1 * SPEED] * 15, rel=0.1)
     assert all(nees(canyon, e, 31 + i) < 25 for i, e in enumerate(after))

@@ -47,8 +47,8 @@ def test_innovations_by_hand():
     np.testing.assert_allclose(innovation['camera height'], [1.65 - 2.0])
     state.heave = 0.1
     np.testing.assert_allclose(OBSERVATIONS['camera height'](state).innovation, [1.65 * 1.1 - 2])
-    assert OBSERVATIONS['camera height'](state).lasting.tolist() == [[0] * 12]
-    wrong = np.zeros((1, 12))
+    assert OBSERVATIONS['camera height'](state).lasting.tolist() == [[0] * scene_state.N_LASTING]
+    wrong = np.zeros((1, scene_state.N_LASTING))
     wrong[0, scene_state.HEIGHT] = 0.02
     np.testing.assert_array_equal(OBSERVATIONS['height wrong for good'](state).lasting, wrong)
     np.testing.assert_allclose(innovation['mounting'], 0, atol=1e-12)

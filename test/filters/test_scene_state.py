@@ -76,7 +76,7 @@ def test_planes_come_and_go_without_touching_the_rest(state):
 
 def test_propagation_moves_the_pose_by_the_velocities(state):
     current, velocity, omega = state.current.copy(), state.velocity.copy(), state.omega.copy()
-    scene_state.propagate(state, 0.2, 0.0, 0.0)
+    scene_state.propagate(state, 0.2, 0.0, 0.0, 1.0)
     np.testing.assert_array_equal(state.previous.R, current.R)
     np.testing.assert_array_equal(state.previous.t, current.t)
     np.testing.assert_allclose(state.current.t, current.t + 0.2 * velocity)
@@ -89,14 +89,14 @@ def test_propagated_covariance_is_that_of_the_numerical_transition(state):
     def propagated(e):
         twin = deepcopy(state).moved(e)
         twin.error = deepcopy(state).error
-        scene_state.propagate(twin, dt, 0.0, 0.0)
+        scene_state.propagate(twin, dt, 0.0, 0.0, 1.0)
         return twin
 
     nominal = propagated(np.zeros(state.size))
     F = jacobian(lambda e: error_between(nominal, propagated(e)), np.zeros(state.size))
     F[state.at('mount'), state.at('mount')] = np.eye(3)
     # The turn by omega dt is linearised to first order: half its angle, here under 1.5 %, of dt.
-    scene_state.propagate(state, dt, 0.0, 0.0)
+    scene_state.propagate(state, dt, 0.0, 0.0, 1.0)
     scale = np.sqrt(np.outer(np.diag(F @ P @ F.T), np.diag(F @ P @ F.T)))
     np.testing.assert_allclose(state.P / scale, F @ P @ F.T / scale, atol=5e-3)
 
@@ -105,9 +105,9 @@ def test_noise_is_that_of_many_small_steps(rng, state):
     state.omega = np.zeros(3)
     state.error.P = np.zeros_like(state.P)
     fine = deepcopy(state)
-    scene_state.propagate(state, 0.3, 0.7, 0.4)
+    scene_state.propagate(state, 0.3, 0.7, 0.4, 0.6)
     for _ in range(300):
-        scene_state.propagate(fine, 0.001, 0.7, 0.4)
+        scene_state.propagate(fine, 0.001, 0.7, 0.4, 0.6)
     keep = np.r_[6:18]
     np.testing.assert_allclose(state.P[np.ix_(keep, keep)], fine.P[np.ix_(keep, keep)],
                                rtol=1e-2, atol=1e-9)
