@@ -134,7 +134,8 @@ def _motion_field(extraction, ground, level):
     far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < least)
     below = rho + 2 * noise < BELOW_GROUND * under
     return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far, below,
-                  extraction.plane_id, ground, level, Seen(x, rho, noise, under))
+                  extraction.plane_id, ground, level,
+                  Seen(x, rho, noise, under, extraction.label != Label.UNKNOWN))
 
 
 def _alike(motion_field):
@@ -207,9 +208,10 @@ def _scored(extraction, motion_field, found):
         ground = None
     fits = np.isfinite(found.fit.variance)
     fit = found.fit._replace(variance=np.where(fits, found.fit.variance, 1.0))
-    outline = outlines(Blocks(motion_field.x[found.at], motion_field.block[found.at],
-                              motion_field.rho[found.at], found.regions.first),
-                       K, ground, motion_field.level)
+    at = found.at
+    outline = outlines(Blocks(motion_field.x[at], motion_field.block[at],
+                              extraction.x_prev[at] - motion_field.x[at], motion_field.rho[at],
+                              found.regions.first), K, ground, motion_field.level)
     score = scores(fit, outline, K, extraction.motion.t_cur_from_prev, motion_field.seen)
     return np.where(fits, score, 0.0)
 

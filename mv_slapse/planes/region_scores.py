@@ -39,6 +39,11 @@ LEAST_REACH = 28.0  # px below a region in which the ground is looked for
 SHOWN = 0.3  # share of this place that ground covers if it is surely there
 UNSEEN = 8.0  # largest score of what looks below the ground, where that is not seen
 DEPENDENCE = 2.0  # blocks below or above a region that tell as much as one
+REPEATED = 0.5  # px within which a vector repeats another
+AROUND = 48.0  # px about a region in which wrong vectors are counted, or half its size
+FEW = 2.0  # blocks there that tell as much as the whole picture
+LEAST_WRONG = 0.02  # share of wrong vectors that there may always be
+CREDIT = 0.25  # score of a vector by the odds that it is right; kitti00 at 1 Mbit/s shows no mover
 BORDER = 48.0  # px from the left and right end of the picture: what they cut may be of any width
 STEP = 10.0  # largest part of the score of one pair,
 BACK = -5.0  # and smallest
@@ -55,12 +60,15 @@ class Seen(NamedTuple):
         Apparent inverse depths and what noise makes of them [1/baseline].
     under : (M,) float64
         Inverse depth of the ground there [1/baseline].
+    right : (M,) bool
+        Whether something still may move like that.
     """
 
     x: np.ndarray
     rho: np.ndarray
     sigma: np.ndarray
     under: np.ndarray
+    right: np.ndarray
 
 
 class Blocks(NamedTuple):
@@ -70,6 +78,8 @@ class Blocks(NamedTuple):
     ----------
     x, block : (N, 2), (N, 2) float64
         Centres and sizes [px].
+    vector : (N, 2) float64
+        Where they were in the previous key frame, from where they are [px].
     rho : (N,) float64
         Apparent inverse depths [1/baseline].
     first : (R,) int
@@ -78,6 +88,7 @@ class Blocks(NamedTuple):
 
     x: np.ndarray
     block: np.ndarray
+    vector: np.ndarray
     rho: np.ndarray
     first: np.ndarray
 
@@ -99,6 +110,8 @@ class Outlines(NamedTuple):
         Share of the box that blocks cover.
     rho : (R,) float64
         Mean apparent inverse depth of the blocks near the foot [1/baseline].
+    kinds : (R,) int
+        Vectors that differ.
     """
 
     low: np.ndarray
@@ -108,6 +121,7 @@ class Outlines(NamedTuple):
     under: np.ndarray
     filled: np.ndarray
     rho: np.ndarray
+    kinds: np.ndarray
 
     @property
     def size(self) -> np.ndarray:
@@ -146,7 +160,9 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
     filled = area / np.prod(high - low + lattice.MACROBLOCK, axis=1)
     lower = (bottom > np.repeat(edge, size) - FOOT_HEIGHT).astype(float)
     rho = np.add.reduceat(blocks.rho * lower, first) / np.add.reduceat(lower, first)
-    return Outlines(low, high, foot, drop, under, filled, rho)
+    across, down = np.round(blocks.vector / REPEATED).astype(np.int64).T % 65536
+    kinds = np.unique((np.repeat(np.arange(len(first)), size) << 32) + (across << 16) + down)
+    return Outlines(low, high, foot, drop, under, filled, rho, np.bincount(kinds >> 32))
 
 
 def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
@@ -199,7 +215,25 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
     # Nothing that a robot could meet ends above the horizon, higher than its camera: what a
     # mover's score came to by mistake is taken back.
     distance[drop < LEAST_DROP] = BACK
+    moving = np.flatnonzero(distance > 0)
+    distance[moving] = np.minimum(distance[moving], _credible(outline, moving, seen))
     return np.clip(distance, BACK, STEP)
+
+
+def _credible(outline, at, seen):
+    """Return the score that the vectors of some regions deserve, which may all be wrong.
+
+    Short of bits an encoder goes on with the vector beside, over whole shadows. Of such a region
+    the vectors repeat each other, and around it as in the whole picture many are wrong.
+    """
+    low, high = outline.low[at, None], outline.high[at, None]
+    reach = np.maximum(0.5 * outline.size[at, None], AROUND)
+    inside, near = (np.all((seen.x >= low - by) & (seen.x <= high + by), axis=2)
+                    for by in (0.0, reach))
+    around, share = (near & ~inside).astype(float), np.mean(seen.right)
+    right = (around @ seen.right + FEW * share) / (around.sum(axis=1) + FEW)
+    right = np.minimum(right, share)
+    return CREDIT * outline.kinds[at] * right**2 / np.maximum(1 - right, LEAST_WRONG)
 
 
 def _hovers(outline, i, at_foot, sigma, seen):
