@@ -214,9 +214,10 @@ class ObstacleSettings(Checked):
         0.0)
     moving_confidence: float = setting(
         0.999, '-', 'confidence at which a velocity differs from zero', 0.5, 0.999999)
-    confirm_time: float = setting(0.2, 's', 'evidence of motion that confirms an obstacle', 0.0)
+    confirm_time: float = setting(
+        0.2, 's', 'that the evidence must span which confirms an obstacle', 0.0)
     confirm_pairs: int = setting(
-        2, '-', 'key frame pairs with such evidence; of 8 a second a third comes too late', 1)
+        2, '-', 'key frame pairs with evidence; of 8 a second a third comes too late', 1)
     confirm_window: float = setting(0.6, 's', 'in which these pairs must lie', 0.0)
     min_speed: float = setting(
         0.3, 'm/s', 'slowest obstacle that is confirmed, where scale is metric', 0.0)

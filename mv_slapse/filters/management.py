@@ -52,21 +52,20 @@ def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSe
              false_starts: float = 0.0) -> bool:
     """Return whether a track's evidence makes it an obstacle that a planner may brake for.
 
-    Enough pairs, over enough time, in which the velocity differs from zero, the newest among
-    them, and detections that are one body. The more tracks come to nothing (``false_starts``,
-    [1/s]), the less likely the next one is an obstacle, and the surer it must be.
+    A velocity that differs from zero after all of them, of detections that are one body, in
+    enough pairs over enough time. The more tracks come to nothing (``false_starts``, [1/s]), the
+    less likely the next one is an obstacle, and the surer it must be.
     """
     recent = within(evidence, settings.confirm_window)
-    level = ekf.chi2_bound(settings.moving_confidence, 3)
-    slowest = settings.min_speed if is_metric else 0.0
-    moving = [e for e in recent if e.statistic > level and e.speed >= slowest]
-    if len(moving) < settings.confirm_pairs or moving[-1] is not recent[-1]:
+    if len(recent) < settings.confirm_pairs:
         return False
-    lasted = 1e-9 * (moving[-1].stamp - moving[0].start)
+    newest, slowest = recent[-1], settings.min_speed if is_metric else 0.0
+    moves = newest.statistic > ekf.chi2_bound(settings.moving_confidence, 3)
+    lasted = 1e-9 * (newest.stamp - recent[0].start)
     sure = ONE_BODY + np.log(max(false_starts / USUAL_STARTS, 1.0))
     first_only = not any(e.dof for e in evidence)  # which only the settings can let suffice
-    return lasted >= settings.confirm_time - 1e-6 and (
-        first_only or one_body(evidence) >= sure)
+    return (moves and newest.speed >= slowest and lasted >= settings.confirm_time - 1e-6
+            and (first_only or one_body(evidence) >= sure))
 
 
 def one_body(evidence: Sequence[Evidence]) -> float:

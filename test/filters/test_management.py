@@ -21,6 +21,10 @@ def test_steady_motion_confirms():
     assert management.confirms(evidence([50, 50]), True, SETTINGS)
 
 
+def test_what_all_pairs_together_show_confirms():
+    assert management.confirms(evidence([5, 10, 50]), True, SETTINGS)
+
+
 @pytest.mark.parametrize(('case', 'why'), [
     (evidence([50]), 'too few pairs'),
     (evidence([50] * 5, pair=PAIR // 10), 'too short'),
