@@ -18,6 +18,7 @@ LIBRARIES = (('numpy', 'numpy', '1.26'), ('scipy', 'scipy', '1.11'),
              ('matplotlib', 'matplotlib', '3.6'), ('tqdm', 'tqdm', '4.0'),
              ('yaml', 'pyyaml', '6.0'))
 SHIFT = 3  # px that the picture moves in each frame of the test clip
+RATE = 10.0  # Hz, of that clip
 GET_ROS = 'source /opt/ros/jazzy/setup.sh, or run `make setup` (x86-64)'
 GET_MESSAGES = ('source install/setup.sh of the workspace that colcon built, or run '
                 '`make messages`')
@@ -121,10 +122,10 @@ def measure_shift() -> tuple[float, int]:
     scene = np.kron(scene, np.ones((8, 8), np.uint8))
     images = [scene[:, SHIFT * i:SHIFT * i + 128] for i in range(9)]
     decoder = CorrespondenceDecoder(DecoderSettings())
-    packets = encode(images, 1.0, Encoding(b_frames=1, gop=12))
+    packets = encode(images, RATE, Encoding(b_frames=1, gop=12))
     pairs = [pair for packet in packets for pair in decoder.feed(packet)] + decoder.flush()
-    per_frame = [(pair.x_prev - pair.x_cur)[:, 0] / (pair.stamp - pair.previous_stamp) * 1e9
-                 for pair in pairs]
+    per_frame = [(pair.x_prev - pair.x_cur)[:, 0] / (pair.stamp - pair.previous_stamp)
+                 * 1e9 / RATE for pair in pairs]
     vectors = np.concatenate(per_frame) if per_frame else np.zeros(0)
     if not len(vectors):
         raise UnusableInput('the decoder exports no motion vectors')
