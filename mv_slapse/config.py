@@ -83,6 +83,9 @@ class DecoderSettings(Checked):
     min_parallax: float = setting(
         4.0, 'px', 'median parallax after removing rotation at which a pair is long enough; '
         'shorter ones are chained', 0.0)
+    min_chain_time: float = setting(
+        0.035, 's', 'shorter pairs are chained whatever their parallax: an error of the scale in '
+        'each adds up over their number', 0.0)
     max_chain: int = setting(12, '-', 'most pairs that are chained into one', 1)
     max_chain_time: float = setting(
         0.25, 's', 'longest time that a chain spans, also where the camera stands still', 0.0)

@@ -54,7 +54,8 @@ class Chainer:
         flow = pair.x_prev - pair.x_cur
         if len(flow) and np.median(np.hypot(*flow.T)) >= settings.max_chain_flow:
             return True
-        return parallax(pair, self._camera) >= settings.min_parallax
+        return (pair.stamp - pair.previous_stamp >= settings.min_chain_time * NANOSECONDS
+                and parallax(pair, self._camera) >= settings.min_parallax)
 
     def _is_due(self) -> bool:
         age_after_next = (self._chain.stamp - self._chain.previous_stamp

@@ -136,6 +136,13 @@ def test_slow_motion_is_chained_until_the_parallax_is_enough():
     assert max(spans) < 10 * STEP
 
 
+@pytest.mark.parametrize(('flow', 'links'), [(0.9, 2), (0.5, 1)])
+def test_what_moves_fast_is_chained_too_unless_it_moves_too_far(flow, links):
+    pairs = [pair(k, zoom(GRID, flow)) for k in range(1, 5)]
+    out = published(pairs, min_chain_time=1.5 * STEP / 1e9)
+    assert out[0].stamp == links * STEP
+
+
 def test_a_camera_that_stands_still_is_heard_of_in_time():
     out = published([pair(k, 0) for k in range(1, 31)])
     spans = [item.stamp - item.previous_stamp for item in out]
