@@ -167,7 +167,8 @@ class SceneSettings(Checked):
     ground_slope: float = setting(
         0.005, 'rad/m^0.5', 'random walk of the ground normal along the way: 3 deg in 100 m', 0.0)
     relief: float = setting(
-        0.03, '-', 'depth of a surface about its plane, as a share of depth', 0.0, 1.0)
+        0.03, '-', 'depth of a surface about its plane, as a share of depth; where the scale '
+        'is metric also what its depth changes by while the camera moves by it', 0.0, 1.0)
     depth_bias: float = setting(
         0.02, '-', 'error of the depth of a whole surface in one pair, as a share of it: encoders '
         'pull its vectors the same way; 1 to 2.4 % was measured on road', 0.0, 1.0)

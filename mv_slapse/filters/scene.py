@@ -175,7 +175,7 @@ class SceneFilter:
         return self._rested(extraction, TURNING)
 
     def _predict(self, dt: float):
-        """Move the camera at constant velocity; the ground may slope along the way."""
+        """Move the camera at constant velocity; the planes change along the way."""
         settings, state = self._settings, self._state
         speed = np.linalg.norm(state.velocity)
         # Not the speed now: what comes to rest could hardly start again, the scale would shrink.
@@ -187,6 +187,10 @@ class SceneFilter:
         scene_state.propagate(state, dt, density, settings.angular_acceleration,
                               settings.turn_rate)
         self._sway(dt)
+        if self._progress.metric:
+            # Where the scale is free the planes alone carry it, and stay as they are.
+            for id in state.planes:
+                scene_state.renew(state, id, settings.relief)
         ground = self._map.ground
         if ground in state.planes:
             # The road bends below the vehicle, so about its place; a vehicle's camera rides some

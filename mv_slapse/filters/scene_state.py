@@ -352,6 +352,19 @@ def move_anchor(state: SceneState, id: int, anchor: np.ndarray):
     ekf.predict(state.error, state.error.mu, F, np.zeros_like(F))
 
 
+def renew(state: SceneState, id: int, relief: float):
+    """Let a plane change as the camera moves on and sees another part of the surface.
+
+    Its depth walks by ``relief``, a share of it, while the camera moves by its distance from the
+    plane: a surface is no plane, and each part of it departs by so much.
+    """
+    at, known, offset = state.at(id), state.planes[id], state.current.t - state.planes[id].anchor
+    distance = abs(1 + known.plane @ offset) / np.linalg.norm(known.plane)
+    way = np.linalg.norm(state.current.t - state.previous.t)
+    share = way / max(way, distance)
+    state.error.P[at, at] += share * relief**2 * np.outer(known.plane, known.plane)
+
+
 def bend(state: SceneState, id: int, sigma: float):
     """Let a plane's normal walk by ``sigma`` [rad] about its anchor, where its depth stays."""
     at, plane = state.at(id), state.planes[id].plane

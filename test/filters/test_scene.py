@@ -70,13 +70,14 @@ def test_pose_covariance_is_about_the_axes_of_the_world():
 
 def test_with_noise_the_trajectory_stays_within_a_bound(rng):
     canyon = Canyon(rng, 0.4)
-    estimates = driven(canyon, 40)
+    estimates = driven(canyon, 40, replace(METRIC, relief=0.0))  # its surfaces are planes
     assert max(position_errors(canyon, estimates)) < 0.01 * SPEED * 4  # 1 % of 32 m
     assert np.degrees(max(turn_errors(canyon, estimates))) < 0.3
+    here, there = estimates[-1].t_world_from_cam, canyon.pose(40)[1]
     for plane in estimates[-1].planes[:3]:
         normal, depth = plane_geometry.to_normal_depth(canyon.planes(0)[plane.id])
         assert canyon_views.angle_between(plane.normal, normal) < np.radians(1.0)
-        assert plane.depth == pytest.approx(depth, rel=0.05)
+        assert plane.normal @ here + plane.depth == pytest.approx(normal @ there + depth, rel=0.05)
         assert_is_covariance(plane.covariance)
 
 
@@ -318,6 +319,18 @@ def test_a_road_that_may_slope_is_less_sure_of_its_normal():
         ground = filter_.step(canyon.blank(11))[0].planes[GROUND]
         spread.append(np.trace(ground.covariance[:3, :3]))
     assert spread[1] - spread[0] > 0.05**2 * 0.8  # over 0.8 m
+
+
+def test_a_metric_plane_out_of_view_is_known_less_with_the_way():
+    free = replace(METRIC, camera_height=0.0)
+    for settings, grows in ((METRIC, True), (replace(METRIC, relief=0.0), False), (free, False)):
+        canyon, filter_ = Canyon(), SceneFilter(settings)
+        before = driven(canyon, 10, filter_=filter_)[-1].planes[WALL].covariance[3, 3]
+        # The plane stays where it is in {W}, and nothing is seen for 1.6 m.
+        for k in (11, 12):
+            wall = filter_.step(canyon.blank(k))[0].planes[WALL]
+        added = wall.covariance[3, 3] - before
+        assert (added > 0.9 * 0.03**2 * wall.depth * 1.6) == grows
 
 
 def test_the_same_extractions_give_the_same_bits():

@@ -320,6 +320,21 @@ def test_moving_the_anchor_moves_neither_the_plane_nor_its_uncertainty_in_the_ca
     np.testing.assert_allclose(seen(state)[1], covariance)
 
 
+def test_a_surface_changes_by_its_relief_while_the_camera_moves_by_its_distance(state):
+    known = state.planes[4]
+    unit = known.plane / np.linalg.norm(known.plane)
+    distance = 1 / np.linalg.norm(known.plane)
+    for share, way, camera in ((0.25, 0.25 * distance, known.anchor), (0.0, 0.0, known.anchor),
+                               (1.0, 0.5, known.anchor - distance * unit)):
+        before = state.error.covariance(4).copy()
+        state.current.t, across = camera, np.cross(unit, [1.0, 0.0, 0.0])
+        state.previous.t = camera + way * across / np.linalg.norm(across)
+        scene_state.renew(state, 4, 0.03)
+        added = state.error.covariance(4) - before
+        np.testing.assert_allclose(added, share * 0.03**2 * np.outer(known.plane, known.plane),
+                                   atol=1e-9)
+
+
 def test_a_bend_turns_the_normal_and_leaves_the_depth(state):
     before = state.error.covariance(4).copy()
     scene_state.bend(state, 4, 0.01)
