@@ -179,12 +179,12 @@ class SceneSettings(Checked):
         6.0, '-', 'the same along epipolar lines, where the relief of a surface errs together '
         'as well', 1.0)
     vector_bias: float = setting(
-        0.02, 'px', 'error that all vectors of a pair share, which no averaging removes, and as '
-        'much again that all pairs share: 0.01 to 0.04 was measured', 1e-4, 10.0)
+        0.012, 'px', 'error that all vectors of a pair share, which no averaging removes, and as '
+        'much again that all pairs share: 0.01 to 0.02 was measured', 1e-4, 10.0)
     place_bias: float = setting(
-        0.7, 'px', 'standard deviation of the place in its block that a vector tells of, which '
-        'all share: encoders prefer the vectors of the blocks above and beside; 0.9 px up was '
-        'measured in H.264, 0.1 in MPEG-2', 0.0, 16.0)
+        0.4, 'px', 'standard deviation of the place in its block that a vector tells of, which '
+        'all share: what is left where encoders prefer the vectors of the blocks around', 0.0,
+        16.0)
     ratio_sigma: float = setting(
         0.006, '-', 'common error of the depths of one pair, as a share: 0.5 % was measured',
         1e-4, 1.0)

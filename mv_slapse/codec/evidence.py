@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from mv_slapse.codec.motion_vectors import FrameVectors, FUTURE, PAST
+from mv_slapse.codec.prediction import leaning
 from mv_slapse.codec.prior import at
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
@@ -41,7 +42,7 @@ def collect(segment: Segment, settings: DecoderSettings) -> Evidence:
     """Return all evidence of a segment, but B blocks whose two vectors contradict."""
     parts = [_indirect(segment, frame, settings) for frame in segment.between]
     if segment.current.frame_type is FrameType.P:
-        parts.insert(0, _direct(segment.current))
+        parts.insert(0, _direct(segment))
     return _joined(parts)
 
 
@@ -81,9 +82,12 @@ def _take(evidence: Evidence, rows: np.ndarray) -> Evidence:
                     evidence.block[rows])
 
 
-def _direct(frame: FrameVectors) -> Evidence:
+def _direct(segment: Segment) -> Evidence:
+    frame = segment.current
+    # Over several pictures blocks differ by so much that few have the predicted vector.
+    lean = leaning(frame) if not segment.between else np.zeros_like(frame.x)
     past = frame.direction == PAST
-    return Evidence(frame.x[past], frame.displacement[past],
+    return Evidence((frame.x + lean)[past], frame.displacement[past],
                     np.ones(np.count_nonzero(past), np.float32), frame.block[past])
 
 
@@ -146,13 +150,13 @@ def halves(segment: Segment, settings: DecoderSettings) -> tuple[Segment, Segmen
     wrong[np.concatenate(bent(segment, middle, settings)[1])] = True
     past = np.flatnonzero((middle.direction == PAST) & ~wrong)
     future = np.flatnonzero((middle.direction == FUTURE) & ~wrong)
-    first = replace(middle, frame_type=FrameType.P, x=middle.x[past],
+    first = replace(middle, frame_type=FrameType.P, is_predicted=False, x=middle.x[past],
                     displacement=middle.displacement[past], direction=middle.direction[past],
                     block=middle.block[past])
     back = middle.displacement[future]
     second = replace(segment.current, frame_type=FrameType.P, x=middle.x[future] + back,
                      displacement=-back, direction=-middle.direction[future],
-                     block=middle.block[future], references=middle.references)
+                     is_predicted=False, block=middle.block[future], references=middle.references)
     return (Segment(segment.previous, first, (), _first_kind(segment)),
             Segment(first, second, (), SegmentKind.PP))
 

@@ -133,7 +133,8 @@ class FrameDecoder:
         table = columns(None if exported is None else exported.to_ndarray())
         luma = _luma(picture) if self._with_luma and kind is not FrameType.B else None
         return FrameVectors(stamp, kind, picture.width, picture.height, references=references,
-                            damage=damage, luma=luma, **table)
+                            is_predicted=self._context.name == 'h264', damage=damage, luma=luma,
+                            **table)
 
 
 class _Stamps:

@@ -29,6 +29,8 @@ class FrameVectors:
         Block width and height [px].
     references : int
         Most pictures that a direction may mean; 1: every vector spans one key frame interval.
+    is_predicted : bool
+        Whether vectors are coded against the median of those around, as in H.264.
     damage : str
         Why the vectors cannot be joined to the pictures before, else empty.
     luma : (height, width) uint8 or None
@@ -44,6 +46,7 @@ class FrameVectors:
     direction: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
     block: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.uint8))
     references: int = 1
+    is_predicted: bool = False
     damage: str = ''
     luma: np.ndarray | None = None
 

@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 
 BOUND = 14.16  # chi-square of 3 degrees of freedom: as probable as 3 sigma of one, 99.73 %
 WIDTHS = (100.0, 30.0, 10.0, 3.0, 3.0, 3.0)  # sigma, of the kernel: narrower from step to step
-TRUTH_SIGMA = 1e-3  # m and rad: a camera at rest has no error of its own
+REST_SIGMA = 1e-3  # m and rad: a camera at rest has no error of its own
+TRUTH_SIGMA = 0.01  # m, of recorded positions from one to the next
 
 
 def figures(estimate: Trajectory, covariances: dict[int, np.ndarray], truth: Trajectory,
@@ -48,8 +49,9 @@ def figures(estimate: Trajectory, covariances: dict[int, np.ndarray], truth: Tra
     if len(i) < 3:
         return {'position_covered_percent': None, 'pose_nees': None}
     P = np.array([covariances[stamp] for stamp in estimate.stamps[i]])
-    P = P + np.eye(6) * TRUTH_SIGMA**2
-    square = aligned_squares(estimate.positions[i], truth.positions[j], P[:, :3, :3],
+    P = P + np.eye(6) * REST_SIGMA**2
+    of_position = P[:, :3, :3] + np.eye(3) * (0 if is_exact else TRUTH_SIGMA)**2
+    square = aligned_squares(estimate.positions[i], truth.positions[j], of_position,
                              not is_metric)
     error = pose_errors(estimate, truth, i, j, is_metric) if is_exact else None
     return {'position_covered_percent': 100 * float(np.mean(square < BOUND)),

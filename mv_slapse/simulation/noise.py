@@ -34,10 +34,10 @@ class VectorNoise(Checked):
     depth_bias: float = setting(
         0.01, '-', 'share by which everything looks too near in all pairs', 0.0, 1.0)
     offset: float = setting(
-        0.02, 'px', 'error that all vectors of a pair share, and again that all pairs share', 0.0,
+        0.012, 'px', 'error that all vectors of a pair share, and again that all pairs share', 0.0,
         10.0)
     place: float = setting(
-        0.7, 'px', 'standard deviation of the place in its block that a vector tells of, to the '
+        0.4, 'px', 'standard deviation of the place in its block that a vector tells of, to the '
         'right and down, which all pairs share', 0.0, 16.0)
     heave: float = setting(
         0.0, '-', 'standard deviation of the height above the road that is seen, as a share: '

@@ -88,6 +88,15 @@ def test_vectors_to_an_older_reference_are_left_out():
     np.testing.assert_array_equal(kept.vector, np.tile(motion, (60, 1)))
 
 
+def test_predicted_vectors_tell_of_a_point_above_where_the_picture_before_is_the_reference():
+    current = frame(400, FrameType.P, (-1, MOTION), is_predicted=True)
+    rise = (GRID - collect(segment(current=current), SETTINGS).x_cur).reshape(8, 10, 2)
+    np.testing.assert_array_equal(rise[1:, 1:], np.broadcast_to([0, 8], (7, 9, 2)))
+    assert rise[0, 0].max() < 1e-3  # the first is predicted as zero
+    evidence = collect(segment(b_frame(200), current=current), SETTINGS)
+    np.testing.assert_array_equal(evidence.x_cur[evidence.variance == 1], GRID)
+
+
 def test_only_several_references_are_ambiguous():
     assert not is_ambiguous(segment(b_frame(200)))
     assert is_ambiguous(segment(b_frame(200, references=2)))
