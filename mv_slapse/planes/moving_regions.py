@@ -16,7 +16,7 @@ from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice
 from mv_slapse.planes.mover_memory import FIRST_ID, Memory
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
-from mv_slapse.planes.region_scores import Blocks, outlines, scores, Seen
+from mv_slapse.planes.region_scores import Blocks, outlines, REPEATED, scores, Seen
 from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -135,7 +135,17 @@ def _motion_field(extraction, ground, level):
     below = rho + 2 * noise < BELOW_GROUND * under
     return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far, below,
                   extraction.plane_id, ground, level,
-                  Seen(x, rho, noise, under, extraction.label != Label.UNKNOWN))
+                  Seen(x, rho, noise, under, _copied(extraction)))
+
+
+def _copied(extraction):
+    """Return the blocks (N,) bool whose vector nothing still explains and a neighbour repeats."""
+    copied, wrong = np.zeros(len(extraction.label), bool), extraction.label == Label.UNKNOWN
+    vector = (extraction.x_prev - extraction.x_cur)[wrong]
+    near = cKDTree(np.c_[extraction.x_cur[wrong] / REACH, vector / REPEATED])
+    pairs = near.query_pairs(1.0, p=np.inf, output_type='ndarray')
+    copied[np.flatnonzero(wrong)[pairs.ravel()]] = True
+    return copied
 
 
 def _alike(motion_field):

@@ -40,10 +40,10 @@ SHOWN = 0.3  # share of this place that ground covers if it is surely there
 UNSEEN = 8.0  # largest score of what looks below the ground, where that is not seen
 DEPENDENCE = 2.0  # blocks below or above a region that tell as much as one
 REPEATED = 0.5  # px within which a vector repeats another
-AROUND = 48.0  # px about a region in which wrong vectors are counted, or half its size
+AROUND = 48.0  # px about a region in which copied vectors are counted, or half its size
 FEW = 2.0  # blocks there that tell as much as the whole picture
-LEAST_WRONG = 0.02  # share of wrong vectors that there may always be
-CREDIT = 0.25  # score of a vector by the odds that it is right; kitti00 at 1 Mbit/s shows no mover
+LEAST_COPIED = 0.02  # share of them that there may always be
+CREDIT = 0.16  # score of a vector by the odds that it is no copy: kitti00 at 1 Mbit/s has no mover
 BORDER = 48.0  # px from the left and right end of the picture: what they cut may be of any width
 STEP = 10.0  # largest part of the score of one pair,
 BACK = -5.0  # and smallest
@@ -60,15 +60,15 @@ class Seen(NamedTuple):
         Apparent inverse depths and what noise makes of them [1/baseline].
     under : (M,) float64
         Inverse depth of the ground there [1/baseline].
-    right : (M,) bool
-        Whether something still may move like that.
+    copied : (M,) bool
+        Whether nothing still moves like that, but a neighbour does.
     """
 
     x: np.ndarray
     rho: np.ndarray
     sigma: np.ndarray
     under: np.ndarray
-    right: np.ndarray
+    copied: np.ndarray
 
 
 class Blocks(NamedTuple):
@@ -224,16 +224,16 @@ def _credible(outline, at, seen):
     """Return the score that the vectors of some regions deserve, which may all be wrong.
 
     Short of bits an encoder goes on with the vector beside, over whole shadows. Of such a region
-    the vectors repeat each other, and around it as in the whole picture many are wrong.
+    the vectors repeat each other, and so do wrong ones around it and in the whole picture.
     """
     low, high = outline.low[at, None], outline.high[at, None]
     reach = np.maximum(0.5 * outline.size[at, None], AROUND)
     inside, near = (np.all((seen.x >= low - by) & (seen.x <= high + by), axis=2)
                     for by in (0.0, reach))
-    around, share = (near & ~inside).astype(float), np.mean(seen.right)
-    right = (around @ seen.right + FEW * share) / (around.sum(axis=1) + FEW)
-    right = np.minimum(right, share)
-    return CREDIT * outline.kinds[at] * right**2 / np.maximum(1 - right, LEAST_WRONG)
+    around, share = (near & ~inside).astype(float), np.mean(seen.copied)
+    copied = (around @ seen.copied + FEW * share) / (around.sum(axis=1) + FEW)
+    copied = np.clip(copied, max(share, LEAST_COPIED), 1.0)
+    return CREDIT * outline.kinds[at] * (1 - copied)**2 / copied
 
 
 def _hovers(outline, i, at_foot, sigma, seen):

@@ -132,6 +132,21 @@ def test_what_is_half_as_sure_moves_beside_a_mover_only():
     assert set(found.plane_id[sure]).isdisjoint(found.plane_id[beside])
 
 
+@pytest.mark.parametrize('copied', [False, True])
+def test_what_moves_as_copied_vectors_do_is_no_car(rng, copied):
+    memory = Memory()
+    for stamp in range(1, 5):
+        pair, car, trees, ground = behind_a_car_of_the_same_speed(stamp)
+        wrong = ~car & ~trees & (rng.uniform(size=len(car)) < 0.5)
+        off = 0.0 if copied else rng.uniform(-40, 40, (len(car), 2))
+        label = np.where(car, Label.INFINITY, pair.label)
+        pair = replace(pair, label=np.where(wrong, Label.UNKNOWN, label),
+                       x_prev=np.where(wrong[:, None], pair.x_cur + off, pair.x_prev))
+        found, memory = with_moving_planes(pair, ground, memory, THRESHOLD)
+    assert np.mean(found.label[car] == Label.MOVING) == pytest.approx(0.0 if copied else 1.0,
+                                                                      abs=0.4)
+
+
 def test_the_id_of_a_mover_lasts(rng):
     ids = []
     for found, drawn in run(street_of('faster'), rng):

@@ -16,12 +16,12 @@ FIRST_ROW = 180.0
 
 
 def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), ground=GROUND,
-          keep=1.0, t=T, below='ground', above=None, right=1.0, kinds=None):
+          keep=1.0, t=T, below='ground', above=None, copied=0.0, kinds=None):
     """Return the score of an upright face at a depth that moves by ``motion`` in the pair.
 
     Blocks below it show the ``ground``, the ``face``'s own depth, ``terrain`` that goes on as
     the face's foot lies, or ``nothing``; those ``above`` it the 'ground' or the 'face'. Of all
-    vectors outside it a share is ``right``; its own are of some ``kinds``, or all differ.
+    vectors a share is ``copied``; those of the face are of some ``kinds``, or all differ.
     """
     corner = [to_pixels(K, np.array([[*c, depth]]))[0] for c in (low, high)]
     # A block is the face's from a tenth of its height on.
@@ -37,13 +37,13 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     blocks = Blocks(x, np.full(x.shape, 16.0), vector, rho, np.zeros(1, int))
     outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]))
     fit = fit_surfaces(regions, K, np.eye(3), GROUND)
-    own = Seen(x, rho, np.full(len(x), 0.002), np.zeros(len(x)), np.ones(len(x), bool))
+    own = Seen(x, rho, np.full(len(x), 0.002), np.zeros(len(x)), np.zeros(len(x), bool))
     parts = [own, seen_below(outline, rho.mean(), below, ground)]
     if above is not None:
         parts.append(seen_above(outline, rho.mean(), above, ground))
     seen = Seen(*map(np.concatenate, zip(*parts, strict=True)))
-    wrong = np.random.default_rng(1).uniform(size=len(seen.x)) > right
-    return scores(fit, outline, K, t, seen._replace(right=~wrong))[0]
+    copies = np.random.default_rng(1).uniform(size=len(seen.x)) < copied
+    return scores(fit, outline, K, t, seen._replace(copied=copies))[0]
 
 
 def seen_below(outline, rho, below, ground):
@@ -54,7 +54,7 @@ def seen_below(outline, rho, below, ground):
              'terrain': under * rho / max(outline.under[0], 1e-9)}[below]
     kept = slice(None, 0 if below == 'nothing' else None)
     return Seen(x[kept], shown[kept], np.full(len(x), 0.002)[kept], under[kept],
-                np.ones(len(x), bool)[kept])
+                np.zeros(len(x), bool)[kept])
 
 
 def seen_above(outline, rho, above, ground):
@@ -62,7 +62,7 @@ def seen_above(outline, rho, above, ground):
     x = GRID[(GRID[:, 1] > FIRST_ROW) & (GRID[:, 1] < outline.low[0, 1])]
     under = -to_rays(K, x) @ ground
     shown = under if above == 'ground' else np.full(len(x), rho)
-    return Seen(x, shown, np.full(len(x), 0.002), under, np.ones(len(x), bool))
+    return Seen(x, shown, np.full(len(x), 0.002), under, np.zeros(len(x), bool))
 
 
 @pytest.mark.parametrize('depth', [8.0, 14.0, 20.0])
@@ -144,12 +144,12 @@ def test_a_standing_camera_sees_any_motion():
     assert score(12.0, ground=None, t=np.zeros(3)) < 0
 
 
-@pytest.mark.parametrize('right', [0.5, 0.7])
-def test_among_wrong_vectors_few_kinds_of_them_tell_little(right):
-    moving = {'depth': 8.0, 'motion': (0.5, 0, 0), 'right': right}
+@pytest.mark.parametrize('copied', [0.2, 0.4])
+def test_among_copied_vectors_a_few_kinds_tell_little(copied):
+    moving = {'depth': 8.0, 'motion': (0.5, 0, 0), 'copied': copied}
     assert score(**moving, kinds=3) < 3
     assert score(**moving, kinds=3) < score(**moving, kinds=6) <= score(**moving)
 
 
-def test_where_vectors_are_right_a_few_kinds_tell_all():
+def test_where_no_vector_is_copied_a_few_kinds_tell_all():
     assert score(8.0, (0.5, 0, 0), kinds=3) == score(8.0, (0.5, 0, 0)) == STEP
