@@ -101,6 +101,11 @@ def refine(rays_cur, rays_prev, sigma, focal, R, t, steps=10) -> MotionFit:
     return MotionFit(R, t, covariance, robust_cost(error, 2 * sigma))
 
 
+def refined_from(pair: two_view.Pair, R, t) -> MotionFit:
+    """Refine a motion of a pair from a start."""
+    return refine(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, R, t)
+
+
 def turn(rays_cur, rays_prev, sigma, focal, R, steps=6):
     """Fit a rotation without any translation; arguments as in refine.
 

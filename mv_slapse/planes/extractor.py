@@ -17,8 +17,9 @@ from mv_slapse.planes import (
     pairs,
     refinement,
     scale,
+    twins,
 )
-from mv_slapse.planes.camera_motion import MotionFit
+from mv_slapse.planes.camera_motion import MotionFit, refined_from
 from mv_slapse.planes.consensus import Depths
 from mv_slapse.planes.extraction import PlaneFit
 from mv_slapse.planes.ground import GroundPrior, GroundTrack, Mount
@@ -163,15 +164,14 @@ class PlaneExtractor:
         """Estimate the motion from the last one or, where that fails, five points, [MVO] 4.1."""
         last, predicted, others = self._memory.motion, None, []
         if last is not None:
-            predicted = _refined_from(pair, last.R_cur_from_prev, last.t_cur_from_prev)
+            predicted = refined_from(pair, last.R_cur_from_prev, last.t_cur_from_prev)
         if predicted is None or predicted.cost > PREDICTED_COST:
             starts = camera_motion.from_essential_matrix(
                 pair.rays_cur, pair.rays_prev, 0.7 / pair.K[0, 0])[:1]
             starts = starts or [(np.eye(3), np.array([0.0, 0.0, -1.0]))] * (predicted is None)
-            others = [_refined_from(pair, *start) for start in starts]
+            others = [refined_from(pair, *start) for start in starts]
         best = camera_motion.likeliest(predicted, others, len(pair))
-        t, _ = labeling.orient(pair, best.R_cur_from_prev, best.t_cur_from_prev)
-        return replace(best, t_cur_from_prev=t)
+        return twins.unfolded(pair, twins.oriented(pair, best))
 
     def _first_motion(self, blank, pair) -> tuple[MotionFit, np.ndarray]:
         """Estimate the motion without what was a mover, and what must be one by the ground.
@@ -187,7 +187,7 @@ class PlaneExtractor:
             prior = self._ground_prior(blank, fit, scale.BaselineRatio())
             free = doubtful.without(held | self._below(pair, fit, prior))
             if np.mean(free) < MANY_MOVERS:
-                fit = _refined_from(pair[free], fit.R_cur_from_prev, fit.t_cur_from_prev)
+                fit = refined_from(pair[free], fit.R_cur_from_prev, fit.t_cur_from_prev)
         return fit, free
 
     def _below(self, pair, fit: MotionFit, prior: GroundPrior) -> np.ndarray:
@@ -341,11 +341,6 @@ class PlaneExtractor:
             scale.depth_map(*size, blank.x_cur, evidence.rho, _noise(pair, found.fit),
                             found.fit.t_cur_from_prev[2], _with_depth(evidence) & ~found.doubtful),
             self._memory.planes, doubtful.painted(found.moving), self._memory.height)
-
-
-def _refined_from(pair: two_view.Pair, R, t) -> MotionFit:
-    """Refine a motion from a start."""
-    return camera_motion.refine(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, R, t)
 
 
 def _labels(found: Found):

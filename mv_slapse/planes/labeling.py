@@ -61,13 +61,18 @@ def orient(pair: two_view.Pair, R, t) -> tuple[np.ndarray, bool]:
     The majority vote of [MVO] 4.2, each block counting by its parallax in standard deviations:
     a far block's direction is noise. Also returns whether the camera moves forward.
     """
+    if behind(pair, R, t) > 0.5:
+        t = -t
+    return t, bool(t[2] < 0)
+
+
+def behind(pair: two_view.Pair, R, t) -> float:
+    """Return the share of the votes of `orient` that put a block behind the camera."""
     vote = before_camera(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
     length = np.linalg.norm(epipolar.parallax(pair.rays_cur, pair.rays_prev, pair.focal, R),
                             axis=1)
     weight = np.minimum(length / pair.sigma, 10.0)
-    if np.sum(np.where(vote, weight, -weight)) < 0:
-        t = -t
-    return t, bool(t[2] < 0)
+    return float(weight[~vote].sum() / max(weight.sum(), 1e-9))
 
 
 def may_turn(evidence: Evidence, epsilon_m: float) -> bool:

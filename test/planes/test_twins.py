@@ -1,0 +1,54 @@
+"""A plane allows two motions; the one that leaves it before the camera is taken."""
+
+from mv_slapse.geometry import two_view
+from mv_slapse.geometry.camera import to_pixels, to_rays
+from mv_slapse.geometry.rotation import angle, exp
+from mv_slapse.planes import labeling, twins
+from mv_slapse.planes.camera_motion import refined_from
+import numpy as np
+import pytest
+
+K = np.array([[450.0, 0, 320], [0, 450, 240], [0, 0, 1]])
+GRID = np.stack(np.meshgrid(np.arange(8, 640, 16), np.arange(8, 480, 16)), -1).reshape(-1, 2)
+PLANE = np.array([0.1, 0.05, -1.0]) / 2.0
+R = exp(np.array([0.01, -0.02, 0.03]))
+T = np.array([0.9, 0.3, 0.1]) / np.linalg.norm([0.9, 0.3, 0.1])
+
+
+def floor(rng, noise=0.1, baseline=0.1):
+    """Return the pair of a camera that looks down on a floor and flies along it."""
+    rays = to_rays(K, GRID.astype(float))
+    X = rays / -(rays @ PLANE)[:, None]
+    x_prev = to_pixels(K, (X - baseline * T) @ R) + noise * rng.normal(size=GRID.shape)
+    return two_view.Pair(rays, to_rays(K, x_prev), x_prev, np.full(len(GRID), 0.1), K)
+
+
+def fits(pair):
+    """Return the motions of the floor, the right one first."""
+    motions = [twins.oriented(pair, refined_from(pair, *motion))
+               for motion in twins.from_homography(pair)]
+    return sorted(motions, key=lambda fit: angle(fit.R_cur_from_prev @ R.T))
+
+
+def test_both_motions_of_a_plane_fit_its_epipolar_lines(rng):
+    pair = floor(rng)
+    right, *_, wrong = fits(pair)
+    assert wrong.cost == pytest.approx(right.cost, abs=0.02)
+    assert wrong.t_cur_from_prev @ T < 0.9
+    for fit, least, most in ((right, 0.0, 0.02), (wrong, twins.MANY_BEHIND, 0.5)):
+        share = labeling.behind(pair, fit.R_cur_from_prev, fit.t_cur_from_prev)
+        assert least <= share <= most
+
+
+def test_the_motion_that_leaves_the_plane_before_the_camera_is_taken(rng):
+    pair = floor(rng)
+    right, *_, wrong = fits(pair)
+    for fit in (right, wrong):
+        found = twins.unfolded(pair, fit)
+        assert angle(found.R_cur_from_prev @ R.T) < np.radians(0.1)
+        assert found.t_cur_from_prev @ T > np.cos(np.radians(1))
+    assert twins.unfolded(pair, right) is right
+
+
+def test_without_parallax_there_is_no_motion_of_a_plane(rng):
+    assert twins.from_homography(floor(rng, noise=0.0, baseline=0.0)) == []
