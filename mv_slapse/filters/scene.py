@@ -236,8 +236,11 @@ class SceneFilter:
         index = np.full(len(pair), -1)
         for i, id in enumerate(ids):
             index[plane_id == id] = i
-        start = self._state.error_to(replace(self._state, current=shown))
         ratio = self._ratio(extraction, settings) if follows and self._progress.carried else []
+        if ratio:
+            # Braking hard, a step from the length predicted would go beyond zero, and backwards.
+            shown = self._shown(extraction, float(np.exp(self._state.depth_scale)))
+        start = self._state.error_to(replace(self._state, current=shown))
         observations = [*self._rigid(ground), *self._gauge(baseline, first), *ratio]
         self._state = scene_update.update(
             self._state, start, pair, index, ids, settings, observations)

@@ -391,3 +391,14 @@ def test_a_ratio_that_the_speed_cannot_have_made_is_not_believed():
     wrong = replace(wrong, baseline_ratio=2.5)
     estimate, _ = filter_.step(wrong)
     assert estimate.baseline == pytest.approx(1, rel=0.1)
+
+
+def test_a_camera_that_brakes_hard_does_not_go_backwards():
+    canyon = Canyon(way=lambda time: 0.5 * min(time, 1.0) + 0.15 * max(time - 1.0, 0.0))
+    filter_ = SceneFilter(METRIC)
+    driven(canyon, 10, filter_=filter_)
+    # Nothing but the ratio to the baseline before tells the length, and no sign.
+    shown = canyon.extraction(11)
+    bare = replace(shown, planes=(), plane_id=np.full_like(shown.plane_id, -1))
+    estimate = filter_.step(bare)[0]
+    np.testing.assert_allclose(estimate.t_world_from_cam, canyon.pose(11)[1], atol=0.002)
