@@ -44,7 +44,7 @@ def distances(pair, poses, sequence):
 def test_most_correspondences_lie_on_the_true_epipolar_lines(data, sequence, name, share):
     poses = np.loadtxt(data / sequence / 'ground_truth.tum')
     pairs = decoded(data / sequence / name, 60)
-    assert len(pairs) > 25
+    assert len(pairs) > 15  # 30 Hz: at least every other picture
     assert all(pair.kind is not SegmentKind.BROKEN for pair in pairs)
     assert np.median([len(pair) for pair in pairs]) > 400
     errors = np.concatenate([distances(pair.supported(), poses, sequence)
