@@ -102,7 +102,7 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
         members, score)
     known = _majority(members, before)
     known = np.where(known >= 0, known, _covered(members, extraction))
-    moves = _moves(members, motion_field.x, total, known, threshold)
+    moves = _moves(members, motion_field, total, known, threshold)
     ids, next_id = _named(members, moves, known, memory.next_id)
     # What is in no region this time is not forgotten at once.
     score = FADING * np.nan_to_num(score) * ~motion_field.ground_like
@@ -274,13 +274,16 @@ def _covered(members, extraction):
     return result
 
 
-def _moves(members, x, score, before, threshold):
+def _moves(members, motion_field, score, before, threshold):
     """Return which regions (R,) move.
 
     What was called moving is given up later than it was found. So is what lies beside it and is
-    half as sure: the rest of a vehicle that fell to pieces.
+    half as sure: the rest of a vehicle that fell to pieces. Not what ends above the horizon.
     """
-    suspect = score >= KEPT * threshold
+    x, under = motion_field.x, motion_field.seen.under
+    stands = np.array([motion_field.ground is None or np.any(under[member] > 0)
+                       for member in members], bool)
+    suspect = stands & (score >= KEPT * threshold)
     moves = (score >= threshold) | suspect & (before >= FIRST_ID)
     if np.any(moves) and np.any(suspect & ~moves):
         tree = cKDTree(np.concatenate([x[members[i]] for i in np.flatnonzero(moves)]))

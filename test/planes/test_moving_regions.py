@@ -132,6 +132,25 @@ def test_what_is_half_as_sure_moves_beside_a_mover_only():
     assert set(found.plane_id[sure]).isdisjoint(found.plane_id[beside])
 
 
+def test_what_ends_above_the_horizon_does_not_move_with_what_is_beside_it():
+    pair, _, _, ground = behind_a_car_of_the_same_speed(1)
+    x = pair.x_cur.astype(float)
+    tall = np.all(np.abs(x - (310, 200)) < (30, 80), axis=1)
+    above = np.all(np.abs(x - (370, 150)) < (30, 26), axis=1)
+    assert x[above, 1].max() < 180
+    side = np.where(tall, -8.0, 8.0)[:, None] * (1, 0)
+    own = (tall | above)[:, None]
+    pair = replace(pair, x_prev=np.where(own, x + side, pair.x_prev).astype(np.float32),
+                   label=np.where(own[:, 0], 0, pair.label).astype(np.int8))
+    memory = Memory(0, pair.x_prev.astype(float), pair.block.astype(float), np.zeros_like(x),
+                    np.where(tall, THRESHOLD, 1.2 * THRESHOLD), np.full(len(x), -1),
+                    np.zeros(len(x), int))
+    found, memory = with_moving_planes(pair, ground, memory, THRESHOLD)
+    assert np.all((memory.score[above] > 0.5 * THRESHOLD) & (memory.score[above] < THRESHOLD))
+    assert np.mean(found.label[tall] == Label.MOVING) == 1.0
+    assert not np.any(found.label[above] == Label.MOVING)
+
+
 @pytest.mark.parametrize('copied', [False, True])
 def test_what_moves_as_copied_vectors_do_is_no_car(rng, copied):
     memory = Memory()
