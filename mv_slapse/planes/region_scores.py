@@ -318,9 +318,11 @@ def _ground_below(outline, i, ratio, seen):
     where the ground is as near; terrain that looks farther goes on as such. Dark bodywork has no
     vectors; what has some shows either the ground's depth or the region's.
     """
+    drop = outline.drop[i]
+    if not np.isfinite(drop):
+        return 0.0
     across = np.abs(seen.x[:, 0] - outline.foot[i, 0]) < 0.5 * outline.size[i, 0]
     below = seen.x[:, 1] - outline.foot[i, 1]
-    drop = outline.drop[i]
     reach = max((_body_end(ratio * drop) if ratio > 1 else ratio * drop) - drop, LEAST_REACH)
     at = np.flatnonzero(across & (below > 0) & (below < reach))
     under = seen.under[at]

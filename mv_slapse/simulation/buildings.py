@@ -72,16 +72,18 @@ class Scene:
         return len(self.names) - 1
 
 
-def build(path: Path, reach: float, crossings: tuple[float, ...],
-          rng: np.random.Generator) -> Scene:
+def build(path: Path, reach: float, crossings: tuple[float, ...], rng: np.random.Generator,
+          houses: bool = True) -> Scene:
     """Return the street along a path whose camera goes ``reach`` [m]; ground is plane 0."""
     scene = Scene()
     s0, s1 = min(0.0, reach) - BEHIND, max(0.0, reach) + BEYOND
     _ground(scene, path, s0, s1, rng)
-    for side in (-1, 1):
-        _row(scene, path, side, (s0, s1), crossings, rng)
-    end = path.at(s1 + rng.uniform(5, 25))
-    scene.wall('far building', end.beside(-40), end.beside(40), rng.uniform(14, 22), 'tower', rng)
+    if houses:
+        for side in (-1, 1):
+            _row(scene, path, side, (s0, s1), crossings, rng)
+        end = path.at(s1 + rng.uniform(5, 25))
+        scene.wall('far building', end.beside(-40), end.beside(40), rng.uniform(14, 22), 'tower',
+                   rng)
     _sky(scene)
     return scene
 

@@ -41,6 +41,7 @@ class StreetSettings(Checked):
     movers: tuple[str, ...] = setting(
         ('slower', 'faster', 'oncoming'), '-', 'kinds of cars that move, of traffic.KINDS')
     parked: int = setting(1, '-', 'number of parked cars', 0, 6)
+    houses: bool = setting(True, '-', 'whether anything stands beside and beyond the road')
     noise: float = setting(1.8, 'grey', 'standard deviation of the sensor noise', 0.0, 50.0)
     contrast: float = setting(1.0, '-', 'factor on the contrast of the textures', 0.0, 3.0)
 
@@ -79,7 +80,7 @@ class Street:
         self.ride = _ride(settings, path, rng)
         reach = self.ride.profile.distance(self.time(settings.n_frames - 1))
         crossings = traffic.crossings(settings.movers)
-        scene = buildings.build(path, reach, crossings, rng)
+        scene = buildings.build(path, reach, crossings, rng, settings.houses)
         self.movers: tuple[Car, ...] = traffic.drive(settings.movers, path, settings.speed, rng)
         scene.add_cars(traffic.park(settings.parked, path, rng))
         self.names = scene.names

@@ -41,7 +41,8 @@ DRIVES: dict[str, dict[str, Any]] = {  # how the camera drives, where it is not 
     'turn': {'turn': 60.0, 'speed': 8.0, 'n_frames': 240},
     'backward': {'speed': -6.0}, 'sideways': {'speed': 6.0, 'view': 90.0},
     'fast 14 m/s': {'speed': 14.0, 'n_frames': 80, **CAR},
-    'fast 20 m/s': {'speed': 20.0, 'n_frames': 60, **CAR}}
+    'fast 20 m/s': {'speed': 20.0, 'n_frames': 60, **CAR},
+    'bare road': {'houses': False, 'parked': 0, 'movers': ()}}
 FLIGHTS = {'flight, wide lens': (WIDE, FlightSettings(n_frames=250)),
            'flight, fisheye': (FISHEYE, FlightSettings(n_frames=250, seed=1)),
            'flight, fast': (WIDE, FlightSettings(n_frames=150, seed=2, speed=4.0))}

@@ -66,6 +66,12 @@ def test_seeds_settle_the_street():
     assert len(quads[0]) != len(quads[2]) or not np.allclose(quads[0].corner, quads[2].corner)
 
 
+def test_a_bare_road_is_one_plane_below_the_sky():
+    street = Street(StreetSettings(seed=4, houses=False, parked=0, movers=()))
+    assert [plane.name for plane in street.planes] == ['ground']
+    assert set(street.quads(0).surface.tolist()) == {street.planes[0].id, SKY}
+
+
 def test_an_unknown_mover_is_refused_by_name():
     with pytest.raises(UsageError, match='tank'):
         Street(StreetSettings(movers=('tank',)))
