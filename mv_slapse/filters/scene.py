@@ -85,8 +85,8 @@ class SceneFilter:
         """
         if self._state is None:
             self._begin(extraction)
-        self._accept(handovers)
-        leaving = self._release(extraction)
+        self._map.accept(self._state, handovers)
+        leaving = self._map.release(self._state, extraction)
         status, reason = self._advance(extraction)
         return scene_record.estimate(self._state, self._map.planes(self._state), extraction.stamp,
                                      status, reason, self._progress.metric), leaving
@@ -377,25 +377,3 @@ class SceneFilter:
         for id in self._map.overdue(self._state, stamp, lifetime):
             self._map.leave(self._state, id)
             self._state.remove_plane(id)
-
-    def _accept(self, handovers: Sequence[PlaneHandover]):
-        """Take planes over that have come to rest."""
-        for handover in handovers:
-            if handover.to_label != Label.STATIONARY or handover.id in self._state.planes:
-                continue
-            anchor = self._state.current.t.copy()
-            scale = 1 + handover.plane @ anchor
-            J = np.eye(3) / scale - np.outer(handover.plane, anchor) / scale**2
-            self._state.add_plane(handover.id, AnchoredPlane(handover.plane / scale, anchor),
-                                  J @ handover.covariance[:3, :3] @ J.T)
-            self._map.adopt(handover.id, handover.stamp)
-
-    def _release(self, extraction: Extraction) -> list[PlaneHandover]:
-        """Give planes away that the extraction now sees moving."""
-        leaving = []
-        for plane in extraction.planes:
-            if plane.label == Label.MOVING and plane.id in self._state.planes:
-                leaving.append(self._map.handover(self._state, plane.id, extraction.stamp))
-                self._state.remove_plane(plane.id)
-                self._map.remove(plane.id)
-        return leaving

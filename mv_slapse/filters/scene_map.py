@@ -1,10 +1,11 @@
 """What the map knows of its planes besides their state: outline, age, support."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 from mv_slapse.filters import scene_gauge
-from mv_slapse.filters.scene_state import SceneState
+from mv_slapse.filters.scene_state import AnchoredPlane, SceneState
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import to_rays
@@ -95,6 +96,28 @@ class SceneMap:
         self._sightings[id] = Sighting(stamp, stamp)
         self._left.pop(id, None)
         self._seen[id] = stamp - self._waited
+
+    def accept(self, state: SceneState, handovers: Sequence[PlaneHandover]):
+        """Take planes over that have come to rest."""
+        for handover in handovers:
+            if handover.to_label != Label.STATIONARY or handover.id in state.planes:
+                continue
+            anchor = state.current.t.copy()
+            scale = 1 + handover.plane @ anchor
+            J = np.eye(3) / scale - np.outer(handover.plane, anchor) / scale**2
+            state.add_plane(handover.id, AnchoredPlane(handover.plane / scale, anchor),
+                            J @ handover.covariance[:3, :3] @ J.T)
+            self.adopt(handover.id, handover.stamp)
+
+    def release(self, state: SceneState, extraction: Extraction) -> list[PlaneHandover]:
+        """Give planes away that the extraction now sees moving."""
+        leaving = []
+        for plane in extraction.planes:
+            if plane.label == Label.MOVING and plane.id in state.planes:
+                leaving.append(self.handover(state, plane.id, extraction.stamp))
+                state.remove_plane(plane.id)
+                self.remove(plane.id)
+        return leaving
 
     def scale(self, factor: float):
         """Multiply all lengths by a factor."""
