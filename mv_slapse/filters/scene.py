@@ -247,6 +247,8 @@ class SceneFilter:
         if not ratio:
             self._progress.carried = scene_state.begin_depth_scale(
                 self._state, settings.ratio_sigma)
+        if first or self._progress.rested:
+            scene_state.doubt_speed(self._state)
         self._height = self._height.seen(self._state, extraction, settings)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)

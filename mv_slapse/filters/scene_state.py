@@ -184,6 +184,15 @@ def _forgetful(dt: float, rate: float) -> tuple[float, float, float]:
     return (dt - 2 * reach + variance) / rate**2, reach**2 / 2, variance
 
 
+def doubt_speed(state: SceneState):
+    """Let the velocity be unsure by all of itself: of a pair in which the camera started.
+
+    Its mean over the pair is seen; at the end of it the camera may be twice as fast.
+    """
+    at = state.at('velocity')
+    state.error.P[at, at] += np.outer(state.velocity, state.velocity)
+
+
 def halt(state: SceneState, omega: np.ndarray, covariance: np.ndarray):
     """Set the velocity to zero and the angular velocity (3,) [rad/s] with its covariance (3, 3).
 

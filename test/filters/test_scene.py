@@ -315,3 +315,15 @@ def test_a_camera_that_brakes_hard_does_not_go_backwards():
     bare = replace(shown, planes=(), plane_id=np.full_like(shown.plane_id, -1))
     estimate = filter_.step(bare)[0]
     np.testing.assert_allclose(estimate.t_world_from_cam, canyon.pose(11)[1], atol=0.002)
+
+
+def test_a_camera_that_starts_within_its_first_pair_keeps_its_unit():
+    canyon = Canyon(way=lambda time: SPEED * max(time - 0.08, 0.0))
+    unit = np.linalg.norm(canyon.pose(1)[1])
+    filter_ = SceneFilter(SceneSettings())
+    for k in range(1, 11):
+        shown = canyon.extraction(k)
+        estimate = filter_.step(replace(
+            shown, planes=(), plane_id=np.full_like(shown.plane_id, -1)))[0]
+    np.testing.assert_allclose(unit * estimate.t_world_from_cam, canyon.pose(10)[1], rtol=0.02,
+                               atol=0.05)
