@@ -300,7 +300,9 @@ class SceneFilter:
                 scene_state.widen_scale(self._state, FIRST_HEIGHT_SIGMA)
             progress.metric = True
             return metric
-        return guess if progress.started and guess > 1e-9 else 1.0
+        if progress.started and guess > 1e-9:
+            return guess
+        return scene_rest.supposed_baseline(extraction, settings.camera_height) or 1.0
 
     def _join(self, extraction: Extraction, known: set[int], ground: int | None,
               baseline: float, shown: Pose) -> list[int]:

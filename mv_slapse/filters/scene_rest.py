@@ -1,9 +1,14 @@
-"""What stands in for the speed where a camera has been at rest."""
+"""What stands in for a length where a camera has been at rest, or the ground is not seen yet."""
 
 from mv_slapse.filters import scene_gate
 from mv_slapse.filters.scene_state import plane_in_camera, SceneState
+from mv_slapse.geometry import epipolar
+from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import Extraction, Label
 import numpy as np
+
+LOW = 0.07  # tangent of the angle below the horizon: the ground within 14 camera heights
+ROAD = 1.5  # camera heights to either side, which a road is wide
 
 
 def first_baseline(state: SceneState, extraction: Extraction, camera_height: float) -> float:
@@ -20,6 +25,22 @@ def first_baseline(state: SceneState, extraction: Extraction, camera_height: flo
         return float(np.linalg.norm(again[0].plane) / seen)
     ground = scene_gate.ground_plane(extraction)
     return 0.0 if ground is None else float(camera_height * np.linalg.norm(ground))
+
+
+def supposed_baseline(extraction: Extraction, camera_height: float) -> float:
+    """Return the first baseline [m] where no ground is seen yet, 0 where nothing tells it.
+
+    As if most of what lies low ahead of a level camera were ground.
+    """
+    rays, before = (to_rays(extraction.K, x.astype(float))
+                    for x in (extraction.x_cur, extraction.x_prev))
+    motion, focal = extraction.motion, np.diag(extraction.K)[:2]
+    rho, _ = epipolar.inverse_depth(rays, before, focal, motion.R_cur_from_prev,
+                                    motion.t_cur_from_prev)
+    across, down = np.abs(rays[:, 0]), rays[:, 1]
+    road = (down > LOW) & (across < ROAD * down) & (rho > 0)
+    road &= extraction.label == Label.STATIONARY
+    return camera_height * float(np.median(rho[road] / down[road])) if road.any() else 0.0
 
 
 def reach(state: SceneState) -> float:

@@ -4,15 +4,17 @@ from dataclasses import replace
 
 import canyon as canyon_views
 from mv_slapse.config import SceneSettings
+from mv_slapse.filters import scene_rest
 from mv_slapse.filters.scene import SceneFilter
 from mv_slapse.geometry import rotation
-from mv_slapse.records import CameraMotion, MotionStatus, TrackingStatus
+from mv_slapse.records import CameraMotion, Label, MotionStatus, ScaleStatus, TrackingStatus
 import numpy as np
 import pytest
 from scene_drive import (
     assert_is_covariance,
     Canyon,
     driven,
+    HEIGHT,
     METRIC,
     position_errors,
     SPEED,
@@ -125,3 +127,14 @@ def test_a_free_scale_outlasts_a_camera_that_nearly_stops():
     estimates = driven(canyon, 40, SceneSettings())
     unit = np.linalg.norm(canyon.motion(1)[1])
     assert max(position_errors(canyon, estimates, scale=unit)) < 0.02 * way(4.0)
+
+
+def test_before_the_ground_is_seen_the_unit_is_what_it_would_tell():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    bare = replace(canyon.extraction(1), planes=())
+    estimate = filter_.step(bare)[0]
+    assert np.linalg.norm(estimate.t_world_from_cam) == pytest.approx(0.1 * SPEED, rel=0.05)
+    assert estimate.scale_status is ScaleStatus.UNKNOWN
+    above = bare.x_cur[:, 1] < bare.K[1, 2]
+    none = replace(bare, label=np.where(above, bare.label, Label.UNKNOWN))
+    assert scene_rest.supposed_baseline(none, HEIGHT) == 0
