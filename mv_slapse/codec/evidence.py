@@ -7,7 +7,7 @@ from mv_slapse.codec.prediction import leaning
 from mv_slapse.codec.prior import at
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
-from mv_slapse.geometry.blocks import CELL
+from mv_slapse.geometry.blocks import CELL, cell_of
 from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
 
@@ -123,8 +123,7 @@ def bent(segment: Segment, frame: FrameVectors, settings: DecoderSettings):
 
 def _pairs(frame: FrameVectors) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of the past and of the future vectors of the blocks that have both."""
-    column, row = ((frame.x + np.float32(0.5) - frame.block / np.float32(2)) / CELL).astype(
-        np.intp).T
+    column, row = cell_of(frame.x, frame.block).T
     stride = frame.width // CELL + 4
     key = row * stride + column
     rows = np.full((2, stride * (frame.height // CELL + 4)), -1)

@@ -8,7 +8,7 @@ middle, a quarter pixel beside it 4.1 px, half a pixel beside it 2.1 px, and bey
 """
 
 from mv_slapse.codec.motion_vectors import FrameVectors, PAST
-from mv_slapse.geometry.blocks import CELL, MACROBLOCK
+from mv_slapse.geometry.blocks import CELL, cell_of, MACROBLOCK
 import numpy as np
 
 RISE = 8.0  # px, of a vector that equals its prediction
@@ -34,8 +34,9 @@ def predicted(frame: FrameVectors, whole: np.ndarray) -> np.ndarray:
 
     ITU-T H.264, 8.4.1.3; for one reference picture.
     """
-    table = _table(frame)
-    column, row = _cell(frame)[whole].T + 1  # the table has a margin
+    cell = cell_of(frame.x, frame.block) + 1  # the table has a margin
+    table = _table(frame, cell)
+    column, row = cell[whole].T
     left, above, beside = (table[row + dy, column + dx] for dy, dx in ((0, -1), (-1, 0), (-1, 2)))
     # To the right of the last macroblock there is none: the one above to the left is taken.
     last = column + 2 > frame.width // CELL
@@ -47,17 +48,12 @@ def predicted(frame: FrameVectors, whole: np.ndarray) -> np.ndarray:
     return np.where((there.sum(axis=0) == 1)[:, None], only, median)
 
 
-def _cell(frame: FrameVectors) -> np.ndarray:
-    """Return column and row (N, 2) of the cell at each block's upper left corner."""
-    return np.floor((frame.x + 0.5 - frame.block / 2) / CELL).astype(np.intp)
-
-
-def _table(frame: FrameVectors) -> np.ndarray:
+def _table(frame: FrameVectors, cell: np.ndarray) -> np.ndarray:
     """Return the vectors (rows, columns, 2) of cells with a margin; NaN where there is none."""
     table = np.full((frame.height // CELL + 4, frame.width // CELL + 4, 2), np.nan, np.float32)
     for dx, dy in ((0, 0), (CELL, 0), (0, CELL), (CELL, CELL)):
         covers = ((frame.direction == PAST) & (frame.block[:, 0] > dx)
                   & (frame.block[:, 1] > dy))
-        column, row = _cell(frame)[covers].T + 1
+        column, row = cell[covers].T
         table[row + dy // CELL, column + dx // CELL] = frame.displacement[covers]
     return table

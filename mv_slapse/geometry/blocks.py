@@ -9,3 +9,14 @@ CELL = 8  # px, the smallest partition that decoders report
 def macroblock_of(x: np.ndarray) -> np.ndarray:
     """Return column and row (N, 2) int of the macroblocks in which pixels (N, 2) lie."""
     return np.floor((x + 0.5) / MACROBLOCK).astype(np.intp)
+
+
+def cell_of(x: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Return column and row (N, 2) int of the cell at the upper left corner of blocks.
+
+    Parameters
+    ----------
+    x, block : (N, 2), (N, 2) arrays
+        Centres and sizes [px].
+    """
+    return np.floor((x + 0.5 - block / 2) / CELL).astype(np.intp)

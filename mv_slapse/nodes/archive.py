@@ -56,9 +56,8 @@ class Archive:
 
     def _write_trajectory(self, path: Path):
         poses = np.reshape(self._poses, (-1, 12))
-        rows = [tum.format_row(stamp, pose[:9].reshape(3, 3), pose[9:])
-                for stamp, pose in zip(self._stamps, poses, strict=True)]
-        path.write_text(''.join(row + '\n' for row in rows))
+        tum.write_poses(path, ((stamp, pose[:9].reshape(3, 3), pose[9:])
+                               for stamp, pose in zip(self._stamps, poses, strict=True)))
 
     def _save(self, response, name: str, write):
         path = self._folder / name

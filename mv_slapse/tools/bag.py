@@ -72,6 +72,7 @@ class _Recorder:
         self.n_packets = self.n_infos = self.n_poses = 0
 
     def write(self, packet: Packet):
+        """Write a packet, and what is due by then of the calibration and the true poses."""
         # A packet is sent when its picture has been taken, and after all packets before it.
         self._now = max(self._now, packet.stamp)
         if self._now - self._last_info >= SECOND:

@@ -28,6 +28,7 @@ class _Stream:
     coded: list[Packet]
 
     def packets(self) -> Iterator[Packet]:
+        """Return the packets in the order of the bag."""
         return iter(self.coded)
 
 

@@ -50,6 +50,7 @@ class CpuClock:
     def charge(self, function: Callable, name: str) -> Callable:
         """Return a function that runs another and charges it to a stage."""
         def charged(*args: Any, **kwargs: Any) -> Any:
+            """Run the function within the stage."""
             with self.stage(name):
                 return function(*args, **kwargs)
 
