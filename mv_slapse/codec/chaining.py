@@ -131,9 +131,9 @@ def _table(pair: Correspondences) -> np.ndarray:
 def parallax(pair: Correspondences, camera: Camera | None) -> float:
     """Return the length [px] of what a rotation of the camera leaves of the motion.
 
-    Three tenths of the blocks show more. The rotation is fitted to the motion itself, robustly, so part of a translation may pass for
-    one: never too much parallax is told. Without a camera, shift and turn of the picture stand
-    for the rotation.
+    Three tenths of the blocks show more. The rotation is fitted to the motion itself, robustly,
+    so part of a translation may pass for one: never too much parallax is told. Without a camera,
+    shift and turn of the picture stand for the rotation.
     """
     if len(pair) < 8:
         return 0.0
