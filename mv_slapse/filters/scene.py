@@ -31,7 +31,7 @@ from mv_slapse.records import (
 import numpy as np
 
 UP_CAM = np.array([0.0, -1.0, 0.0])
-GROUND_PATIENCE = 5  # key frames
+PATIENCE = 5  # key frames in which a plane may contradict the map
 START = 3.0  # factor on the random walk of the velocity while the camera starts to move
 REST_SIGMA = 1.0  # of the log of a first baseline that is guessed
 SLOW = 0.1  # share of the highest speed that is guessed where a start shows no known plane
@@ -231,8 +231,9 @@ class SceneFilter:
         shown = self._shown(extraction, baseline)
         expected = replace(self._state, current=shown) if self._progress.rested else self._state
         known = self._known(scene_gate.distances(expected, extraction, settings))
-        ground = self._trusted_ground(extraction, known)
-        ids = self._join(extraction, known, ground, baseline, shown)
+        trusted = self._trusted(extraction, known)
+        ground = scene_gate.ground_of(extraction, trusted)
+        ids = self._join(extraction, known, trusted, baseline, shown)
         index = np.full(len(pair), -1)
         for i, id in enumerate(ids):
             index[plane_id == id] = i
@@ -265,21 +266,20 @@ class SceneFilter:
         self._agreement = self._agreement.seen(distances.values())
         return {id for id, squared in self.distances.items() if squared < self._settings.gate}
 
-    def _trusted_ground(self, extraction: Extraction, known: set[int]) -> int | None:
-        """Return the ground's id, None where it is not seen or contradicts the map.
+    def _trusted(self, extraction: Extraction, known: set[int]) -> set[int]:
+        """Return the planes seen that the update may use, and count what contradicts the map.
 
-        The ground sets the scale, so one that contradicts the map must do so for a while before
-        it is believed.
+        One pair's plane is wrong far more often than the map's, so one that contradicts the map
+        must do so for a while before it takes the other's place.
         """
-        ground, state = scene_gate.ground_of(extraction), self._state
-        if ground is None or ground in known or ground not in state.planes:
-            self._progress.ground_misses = 0 if ground in known else self._progress.ground_misses
-            return ground
-        self._progress.ground_misses += 1
-        if self._progress.ground_misses <= GROUND_PATIENCE:
-            return None
-        self._progress.ground_misses = 0
-        return ground
+        shown = {plane.id for plane in extraction.planes if plane.label == Label.STATIONARY}
+        contradicting = shown & self._state.planes.keys() - known
+        misses = self._progress.misses
+        misses.update(contradicting)
+        trusted = {id for id in shown if id not in contradicting or misses[id] > PATIENCE}
+        for id in trusted:
+            del misses[id]
+        return trusted
 
     def _baseline(self, extraction: Extraction) -> float:
         """Return the best guess of the distance between the pair's key frames [map unit]."""
@@ -304,7 +304,7 @@ class SceneFilter:
             return guess
         return scene_rest.supposed_baseline(extraction, settings.camera_height) or 1.0
 
-    def _join(self, extraction: Extraction, known: set[int], ground: int | None,
+    def _join(self, extraction: Extraction, known: set[int], trusted: set[int],
               baseline: float, shown: Pose) -> list[int]:
         """Return the planes to update, after putting new and lost ones in afresh.
 
@@ -313,7 +313,7 @@ class SceneFilter:
         """
         state, ids = self._state, []
         for plane in extraction.planes:
-            if plane.label != Label.STATIONARY or plane.is_ground and plane.id != ground:
+            if plane.id not in trusted:
                 continue
             if plane.id not in known:
                 if plane.id in state.planes:

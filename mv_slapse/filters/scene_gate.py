@@ -16,9 +16,10 @@ import numpy as np
 RATIO_GATE = 10.8  # 99.9 % of chi-square with one degree of freedom
 
 
-def ground_of(extraction: Extraction) -> int | None:
-    """Return the id of the ground, None where it is not seen."""
-    return next((plane.id for plane in extraction.planes if plane.is_ground), None)
+def ground_of(extraction: Extraction, trusted: set[int]) -> int | None:
+    """Return the id of the ground, None where none of the trusted planes is it."""
+    return next((plane.id for plane in extraction.planes
+                 if plane.is_ground and plane.id in trusted), None)
 
 
 def ground_plane(extraction: Extraction) -> np.ndarray | None:

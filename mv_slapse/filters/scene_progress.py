@@ -1,6 +1,7 @@
 """Where the scene filter stands, beside its state."""
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
 
 
 @dataclass
@@ -9,15 +10,15 @@ class Progress:
 
     ``started``: it has moved, so that there is a scale; ``carried``: the last pair's depths have
     one; ``rested``: no baseline since a rest; ``anew``: nor since the heading
-    was lost.
+    was lost; ``misses``: how often in a row each plane has contradicted the map.
     """
 
     stamp: int
     supported: int | None = None
     metric: bool = False
     fastest: float = 0.0
-    ground_misses: int = 0
     started: bool = False
     carried: bool = False
     rested: bool = False
     anew: bool = False
+    misses: Counter[int] = field(default_factory=Counter)

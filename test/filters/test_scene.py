@@ -5,7 +5,7 @@ from dataclasses import replace
 import canyon as canyon_views
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import scene_map
-from mv_slapse.filters.scene import GROUND_PATIENCE, SceneFilter
+from mv_slapse.filters.scene import PATIENCE, SceneFilter
 from mv_slapse.filters.scene_input import stationary
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
@@ -204,12 +204,29 @@ def test_planes_that_come_back_into_view_bring_the_scale_back(monkeypatch):
 def test_a_ground_that_contradicts_the_map_is_not_believed_at_once():
     canyon, filter_ = Canyon(), SceneFilter(METRIC)
     driven(canyon, 10, filter_=filter_)
-    for k in range(11, 11 + GROUND_PATIENCE):
+    for k in range(11, 11 + PATIENCE):
         extraction = canyon.extraction(k)
         floor = extraction.planes[GROUND]
         wrong = replace(floor, plane=1.6 * floor.plane)
         estimate, _ = filter_.step(replace(extraction, planes=(wrong, *extraction.planes[1:])))
         assert np.linalg.norm(estimate.t_world_from_cam - canyon.pose(k)[1]) < 0.1
+
+
+def test_a_wall_that_contradicts_the_map_takes_its_place_only_if_it_goes_on():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    driven(canyon, 10, filter_=filter_)
+    shares = []
+    for k in range(11, 12 + PATIENCE):
+        extraction = canyon.extraction(k)
+        floor, wall, *others = extraction.planes
+        bare = without(extraction, wall.id)  # its blocks would mend it
+        wrong = replace(wall, plane=1.6 * wall.plane)
+        estimate, _ = filter_.step(replace(bare, planes=(floor, wrong, *others)))
+        plane = next(plane for plane in estimate.planes if plane.id == wall.id)
+        depth = plane.depth + plane.normal @ estimate.t_world_from_cam
+        shares.append(depth * np.linalg.norm(wall.plane) / estimate.baseline)
+    np.testing.assert_allclose(shares[:PATIENCE], 1, atol=0.02)
+    assert shares[PATIENCE] == pytest.approx(1 / 1.6, abs=0.02)
 
 
 def test_with_no_known_plane_and_no_ratio_the_length_is_predicted():

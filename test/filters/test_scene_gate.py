@@ -72,10 +72,11 @@ def test_only_known_stationary_planes_have_a_distance(rng, state):
 def test_the_ground_is_named_where_it_is_seen(rng, state):
     wall, floor = seen(state), replace(seen(state), id=8, is_ground=True)
     extraction = replace(made_up.extraction(rng), planes=(wall, floor))
-    assert scene_gate.ground_of(extraction) == 8
+    assert scene_gate.ground_of(extraction, {8}) == 8
+    assert scene_gate.ground_of(extraction, {wall.id}) is None
     np.testing.assert_array_equal(scene_gate.ground_plane(extraction), floor.plane)
     without = replace(extraction, planes=(wall,))
-    assert scene_gate.ground_of(without) is None
+    assert scene_gate.ground_of(without, {8}) is None
     assert scene_gate.ground_plane(without) is None
 
 
