@@ -33,7 +33,6 @@ LEAST_SIGMA = 0.25  # px, of a vector on a small surface, whatever the pair's ca
 SHAPE = 0.04  # share of a vector by which it errs as vehicles and people are no planes
 ON_GROUND = 0.2  # share of the ground's inverse depth within which a block is ground
 BELOW_GROUND = 0.7  # share of the ground's inverse depth below which nothing still can be
-LEAST_GROUND = 20  # blocks that show the ground to be where it is expected
 FAR = 1.5  # px of parallax, less is far off,
 RESTING = 0.75  # px, or rests where the camera stands
 FADING = 0.85  # of the score from pair to pair
@@ -213,16 +212,15 @@ def _scored(extraction, motion_field, found):
     """Return the score (R,) of each region in this pair; 0 where no plane fits."""
     if found is None:
         return np.zeros(0)
-    K, ground = extraction.K, motion_field.ground
-    if motion_field.ground_like.sum() < LEAST_GROUND:
-        ground = None
     fits = np.isfinite(found.fit.variance)
     fit = found.fit._replace(variance=np.where(fits, found.fit.variance, 1.0))
     at = found.at
     outline = outlines(Blocks(motion_field.x[at], motion_field.block[at],
                               extraction.x_prev[at] - motion_field.x[at], motion_field.rho[at],
-                              found.regions.first), K, ground, motion_field.level)
-    score = scores(fit, outline, K, extraction.motion.t_cur_from_prev, motion_field.seen)
+                              found.regions.first), extraction.K, motion_field.ground,
+                       motion_field.level)
+    score = scores(fit, outline, extraction.K, extraction.motion.t_cur_from_prev,
+                   motion_field.seen)
     return np.where(fits, score, 0.0)
 
 
