@@ -1,6 +1,6 @@
 """Which detection continues which track: overlap of macroblocks and Mahalanobis distance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from mv_slapse.filters import ekf
 from mv_slapse.filters import obstacle_motion as om
@@ -98,18 +98,21 @@ def _cost(track, detection, gate):
 
 
 def groups(detections: Sequence[Detection], gate: float,
-           expected: Mapping[int, np.ndarray] | None = None) -> list[list[Detection]]:
+           expected: Mapping[int, np.ndarray] | None = None,
+           may_be_one: Callable[[list[Detection]], bool] = bool) -> list[list[Detection]]:
     """Return the surfaces of each vehicle, the largest one first.
 
     Detections come largest first; each joins the first one before it that it touches and whose
-    motion it shares. ``expected`` holds, by the region's id, the boxes (4,) where obstacles
-    should be: in one pair any two cars may move alike within the noise, so that what an obstacle
-    was not before does not join it, be it another obstacle or new.
+    motion it shares, if the group ``may_be_one`` vehicle then. ``expected`` holds, by the region's
+    id, the boxes (4,) where obstacles should be: in one pair any two cars may move alike within
+    the noise, so that what an obstacle was not before does not join it, be it another obstacle or
+    new.
     """
     expected, found = expected or {}, []
     for detection in detections:
         home = next((g for g in found if any(same_body(d, detection, gate) for d in g)
-                     and _as_expected((*g, detection), expected)), None)
+                     and _as_expected((*g, detection), expected)
+                     and may_be_one([*g, detection])), None)
         if home is None:
             found.append([detection])
         else:

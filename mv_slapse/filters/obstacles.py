@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from mv_slapse.config import ObstacleSettings
-from mv_slapse.filters import association, management, search, tracks
+from mv_slapse.filters import association, footprint, management, search, tracks
 from mv_slapse.filters.detections import Detection, detections, from_handover, joined
 from mv_slapse.filters.obstacle_motion import CameraStep
 from mv_slapse.filters.view import relative_motion, View, view_of
@@ -67,7 +67,8 @@ class ObstacleTracker:
         owners = {track.plane_id: track.id for track in self._tracks}
         expected = {track.plane_id: track.box(view) for track in self._tracks}
         found = [joined(group, view) for group in association.groups(
-            detections(extraction, view, self._settings), self._settings.gate, expected)]
+            detections(extraction, view, self._settings), self._settings.gate, expected,
+            self._may_be_one)]
         free = self._continue(found, owners, extraction)
         self._search(extraction)
         free = self._absorb(free, extraction.stamp)
@@ -96,12 +97,17 @@ class ObstacleTracker:
         for item in (item for j, item in enumerate(found) if j not in taken):
             home = next((i for i in parts if self._tracks[i].contains(
                 item, self._view, self._settings.gate) and owners.get(
-                    item.id, self._tracks[i].id) == self._tracks[i].id), None)
+                    item.id, self._tracks[i].id) == self._tracks[i].id
+                and self._may_be_one([*parts[i], item])), None)
             (free if home is None else parts[home]).append(item)
         for i, group in parts.items():
             self._tracks[i].update(joined(group, self._view), extraction, self._view,
                                    self._settings)
         return free
+
+    def _may_be_one(self, group):
+        """Return whether detections may be surfaces of one vehicle by the ground they cover."""
+        return footprint.may_be_one(joined(group, self._view), self._view)
 
     def _search(self, extraction):
         """Look for the vectors of confirmed obstacles that the labels do not show."""

@@ -8,7 +8,7 @@ import numpy as np
 
 UNSCALED_SPEED = 0.1  # 1 m/s as a share of the camera's speed, where no scale is known
 TALLEST = 5.0  # [m] a lorry of 4 m, seen to a macroblock or so
-TALLEST_UNSCALED = 3.0  # the same in camera heights
+USUAL_HEIGHT = 1.65  # [m] of the camera, where no scale is known
 OUT_OF_SIGHT = 0.2  # [s] a pair or two without ground; up to then the map knows better
 LEAST_SPEED_ERROR = 0.01  # share of the camera's speed, if its filter claims to know better
 
@@ -62,9 +62,14 @@ class View:
         return 1.0 if self.is_metric or speed < 1e-6 else UNSCALED_SPEED * speed
 
     @property
+    def metre(self) -> float:
+        """Return what to take for 1 m [map unit], given a ground."""
+        return 1.0 if self.is_metric else 1 / (USUAL_HEIGHT * np.linalg.norm(self.ground))
+
+    @property
     def tallest(self) -> float:
         """Return how tall [map unit] an obstacle may be, given a ground."""
-        return TALLEST if self.is_metric else TALLEST_UNSCALED / np.linalg.norm(self.ground)
+        return TALLEST * self.metre
 
     def to_world(self, X_cam: np.ndarray) -> np.ndarray:
         """Return points (N, 3) or (3,) of the camera frame in {W}."""

@@ -99,6 +99,12 @@ def test_errors_are_what_the_covariance_expects():
     assert np.quantile(nees, 0.95) < 14
 
 
+def test_cars_side_by_side_are_two_obstacles(rng):
+    drive = Drive((Mover(1, (-1.1, 12), (0, 9)), Mover(2, (1.1, 12), (0, 9))))
+    ids = [{o.id for o in usable(obstacles)} for _, obstacles, _ in run(drive, rng)]
+    assert ids[-1] == {1, 2}
+
+
 def test_a_standing_surface_is_never_confirmed(rng):
     side = rng.choice([-1, 1])
     drive = Drive((Mover(1, (side * rng.uniform(2.5, 5), rng.uniform(18, 40)), (0, 0),
