@@ -81,7 +81,7 @@ class DecoderSettings(Checked):
     bridge_minimum: int = setting(
         100, '-', 'fewest matches that bridge an I frame; below, the pair is broken', 1)
     min_parallax: float = setting(
-        7.0, 'px', 'parallax after removing rotation, of the nearest three tenths of the blocks, '
+        6.0, 'px', 'parallax after removing rotation, of the nearest three tenths of the blocks, '
         'at which a pair is long enough; shorter ones are chained', 0.0)
     min_chain_time: float = setting(
         0.035, 's', 'shorter pairs are chained whatever their parallax: an error of the scale in '
