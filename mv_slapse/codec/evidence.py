@@ -7,7 +7,7 @@ from mv_slapse.codec.prediction import leaning
 from mv_slapse.codec.prior import at
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
-from mv_slapse.geometry.blocks import CELL, cell_of
+from mv_slapse.geometry.blocks import CELL, cell_of, MACROBLOCK
 from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
 
@@ -84,18 +84,17 @@ def _take(evidence: Evidence, rows: np.ndarray) -> Evidence:
 
 def _direct(segment: Segment) -> Evidence:
     frame = segment.current
-    # Over several pictures blocks differ by so much that few have the predicted vector.
-    lean = leaning(frame) if not segment.between else np.zeros_like(frame.x)
     past = frame.direction == PAST
-    return Evidence((frame.x + lean)[past], frame.displacement[past],
+    return Evidence((frame.x + leaning(frame))[past], frame.displacement[past],
                     np.ones(np.count_nonzero(past), np.float32), frame.block[past])
 
 
 def _indirect(segment: Segment, frame: FrameVectors, settings: DecoderSettings) -> Evidence:
     """Join the two vectors of each block of a B frame; the later end is where it lies in k."""
     past, future = bent(segment, frame, settings)[0]
-    to_future = frame.displacement[future]
-    return Evidence(frame.x[past] + to_future, frame.displacement[past] - to_future,
+    to_future, lean = frame.displacement[future], leaning(frame)
+    place = frame.x[past] + 0.5 * (lean[past] + lean[future])
+    return Evidence(place + to_future, frame.displacement[past] - to_future,
                     np.full(len(past), 2, np.float32), frame.block[past])
 
 
@@ -147,13 +146,15 @@ def halves(segment: Segment, settings: DecoderSettings) -> tuple[Segment, Segmen
     middle = segment.between[(len(segment.between) - 1) // 2]
     wrong = np.zeros(len(middle), bool)
     wrong[np.concatenate(bent(segment, middle, settings)[1])] = True
+    # Each block is all that its macroblock has, and stays in it.
+    x = middle.x + np.maximum(leaning(middle), -MACROBLOCK / 2)
     past = np.flatnonzero((middle.direction == PAST) & ~wrong)
     future = np.flatnonzero((middle.direction == FUTURE) & ~wrong)
-    first = replace(middle, frame_type=FrameType.P, is_predicted=False, x=middle.x[past],
+    first = replace(middle, frame_type=FrameType.P, is_predicted=False, x=x[past],
                     displacement=middle.displacement[past], direction=middle.direction[past],
                     block=middle.block[past])
     back = middle.displacement[future]
-    second = replace(segment.current, frame_type=FrameType.P, x=middle.x[future] + back,
+    second = replace(segment.current, frame_type=FrameType.P, x=x[future] + back,
                      displacement=-back, direction=-middle.direction[future],
                      is_predicted=False, block=middle.block[future], references=middle.references)
     return (Segment(segment.previous, first, (), _first_kind(segment)),

@@ -88,13 +88,29 @@ def test_vectors_to_an_older_reference_are_left_out():
     np.testing.assert_array_equal(kept.vector, np.tile(motion, (60, 1)))
 
 
-def test_predicted_vectors_tell_of_a_point_above_where_the_picture_before_is_the_reference():
+def test_predicted_vectors_tell_of_a_point_above_the_middle_of_their_block():
     current = frame(400, FrameType.P, (-1, MOTION), is_predicted=True)
-    rise = (GRID - collect(segment(current=current), SETTINGS).x_cur).reshape(8, 10, 2)
-    np.testing.assert_array_equal(rise[1:, 1:], np.broadcast_to([0, 8], (7, 9, 2)))
-    assert rise[0, 0].max() < 1e-3  # the first is predicted as zero
-    evidence = collect(segment(b_frame(200), current=current), SETTINGS)
-    np.testing.assert_array_equal(evidence.x_cur[evidence.variance == 1], GRID)
+    for between in ((), (b_frame(200),)):
+        evidence = collect(segment(*between, current=current), SETTINGS)
+        rise = (GRID - evidence.x_cur[evidence.variance == 1]).reshape(8, 10, 2)
+        np.testing.assert_array_equal(rise[1:, 1:], np.broadcast_to([0, 8], (7, 9, 2)))
+        assert rise[0, 0].max() < 1e-3  # the first is predicted as zero
+
+
+def test_the_two_vectors_of_a_b_block_tell_of_the_mean_of_their_points():
+    middle = b_frame(200, is_predicted=True)
+    own = 45
+    middle.displacement[len(GRID) + own] += [0, 0.25]  # to the future: half as high
+    evidence = collect(segment(middle, current=frame(400, FrameType.I)), SETTINGS)
+    rise = GRID + middle.displacement[len(GRID):] - evidence.x_cur
+    np.testing.assert_allclose(rise[[44, own]], [[0, 10.5], [0, 7.875]], atol=1e-4)
+
+
+def test_the_blocks_of_halves_are_where_they_tell_of_but_stay_in_their_macroblocks():
+    halves_ = halves(segment(b_frame(200, is_predicted=True)), SETTINGS)
+    for half, moved in zip(halves_, (0, MOTION / 2), strict=True):
+        rise = (GRID - moved - collect(half, SETTINGS).x_cur).reshape(8, 10, 2)
+        np.testing.assert_allclose(rise[1:, 1:], np.broadcast_to([0, 8], (7, 9, 2)), atol=1e-5)
 
 
 def test_only_several_references_are_ambiguous():

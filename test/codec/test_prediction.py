@@ -22,7 +22,7 @@ def picture(rng, **changes) -> FrameVectors:
 
 def predicted(frame, *wanted):
     rows = np.array([row * COLUMNS + column for column, row in wanted])
-    return prediction.predicted(frame, rows)
+    return prediction.predicted(frame, rows, PAST)
 
 
 def test_a_prediction_is_the_median_of_left_above_and_above_to_the_right(rng):
@@ -68,7 +68,7 @@ def test_the_parts_of_a_macroblock_that_touch_predict(rng):
         v = whole.displacement
         around = {'above': [v[COLUMNS], parts[part], v[2]],
                   'left': [parts[part], v[1], v[2]]}[neighbour]
-        found = prediction.predicted(frame, np.array([COLUMNS]))  # one row less before it
+        found = prediction.predicted(frame, np.array([COLUMNS]), PAST)  # one row less before it
         np.testing.assert_array_equal(found[0], np.median(around, axis=0))
 
 
@@ -78,6 +78,20 @@ def test_a_vector_near_its_prediction_tells_of_a_point_above(rng, gap, rise):
     own = COLUMNS + 1
     frame.displacement[own] = predicted(frame, (1, 1))[0] + [0, gap]
     np.testing.assert_allclose(prediction.leaning(frame)[own], [0, -rise])
+
+
+def test_vectors_of_a_b_picture_are_predicted_from_those_of_the_same_direction(rng):
+    past, own = picture(rng), COLUMNS + 1
+    future = replace(past, displacement=past.displacement[::-1].copy())
+    both = replace(past, frame_type=FrameType.B, x=np.r_[past.x, future.x],
+                   displacement=np.r_[past.displacement, future.displacement],
+                   direction=np.repeat(np.int8([PAST, FUTURE]), len(past)),
+                   block=np.r_[past.block, future.block])
+    for first, alone in ((0, past), (len(past), future)):
+        both.displacement[first + own] = predicted(alone, (1, 1))[0]
+    leaning = prediction.leaning(both)
+    np.testing.assert_array_equal(leaning[[own, len(past) + own]], [[0, -10.5]] * 2)
+    assert np.sum(leaning[:, 1] < -10) == 2
 
 
 def test_nothing_leans_where_the_prediction_is_unknown(rng):
