@@ -105,6 +105,8 @@ def extraction_to_fields(record: Extraction, frames: RosFrames) -> Fields:
         **_point_columns(record),
         'label': _column(record.label, np.int8),
         'plane_id': _column(record.plane_id, np.int32),
+        'macroblock_label': _column(record.macroblock_label, np.int8),
+        'macroblock_plane': _column(record.macroblock_plane, np.int32),
     }
 
 
@@ -118,6 +120,8 @@ def extraction_from_message(msg: Any) -> Extraction:
         int(msg.width), int(msg.height), SegmentKind(msg.kind), _matrix(msg.k, 3), motion,
         tuple(_observation_from_message(plane) for plane in msg.planes), msg.reason,
         label=_column(msg.label, np.int8), plane_id=_column(msg.plane_id, np.int32),
+        macroblock_label=_column(msg.macroblock_label, np.int8),
+        macroblock_plane=_column(msg.macroblock_plane, np.int32),
         baseline_ratio=float(msg.baseline_ratio),
         baseline_ratio_sigma=float(msg.baseline_ratio_sigma), **_points_of(msg))
 

@@ -220,6 +220,9 @@ class Extraction:
         Label of each correspondence; a wrong vector is UNKNOWN.
     plane_id : (N,) int32
         Plane each belongs to, -1 for none.
+    macroblock_label, macroblock_plane : (M,) int8, (M,) int32
+        Label and plane of each 16x16 macroblock of the picture, row by row, -1 for none. What a
+        mover covers is its own, also without a vector.
     baseline_ratio, baseline_ratio_sigma : float
         log(|t| of this pair / |t| of the pair before) from the depths that they share, and its
         standard deviation; infinite: unknown.
@@ -240,6 +243,8 @@ class Extraction:
     block: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.uint8))
     label: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
     plane_id: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
+    macroblock_label: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
+    macroblock_plane: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
     baseline_ratio: float = 0.0
     baseline_ratio_sigma: float = float('inf')
 

@@ -20,3 +20,15 @@ def cell_of(x: np.ndarray, block: np.ndarray) -> np.ndarray:
         Centres and sizes [px].
     """
     return np.floor((x + 0.5 - block / 2) / CELL).astype(np.intp)
+
+
+def grid_shape(width: int, height: int) -> tuple[int, int]:
+    """Return columns and rows of macroblocks; those cut by the border count."""
+    return -(-width // MACROBLOCK), -(-height // MACROBLOCK)
+
+
+def grid_centres(width: int, height: int) -> np.ndarray:
+    """Return the centres (M, 2) of the macroblocks [px], row by row."""
+    columns, rows = grid_shape(width, height)
+    y, x = np.mgrid[:rows, :columns]
+    return MACROBLOCK * np.c_[x.ravel(), y.ravel()] + (MACROBLOCK - 1) / 2

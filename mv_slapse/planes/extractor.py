@@ -25,6 +25,7 @@ from mv_slapse.planes.extraction import PlaneFit
 from mv_slapse.planes.ground import GroundPrior, GroundTrack, Mount
 from mv_slapse.planes.known import KnownPlane
 from mv_slapse.planes.memory import Memory
+from mv_slapse.planes.silhouettes import Silhouettes
 from mv_slapse.records import (
     CameraMotion,
     Correspondences,
@@ -65,6 +66,7 @@ class PlaneExtractor:
         self._memory = Memory(ground=GroundTrack(Mount(
             spread=settings.ground_tilt, widest=settings.ground_tilt)))
         self._movers = moving_regions.Memory()
+        self._silhouettes = Silhouettes()
         self._rules = extraction.Rules(
             settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
             settings.max_planes, settings.max_uncertainty, settings.relief)
@@ -77,7 +79,7 @@ class PlaneExtractor:
         """
         whole = self._blank(correspondences)
         shown, rows = self._shown(whole, correspondences.lone, correspondences.reason)
-        return pairs.scattered(whole, shown, rows)
+        return self._silhouettes.fill(pairs.scattered(whole, shown, rows), correspondences)
 
     def _shown(self, whole: Extraction, lone: np.ndarray, reason: str):
         """Return what a pair shows, and the rows of the whole that it made use of."""

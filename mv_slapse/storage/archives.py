@@ -4,9 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from mv_slapse.records import Correspondences, Extraction, MapPlane, ScaleStatus, SceneEstimate
-from mv_slapse.storage import labels
-from mv_slapse.storage.silhouettes import Silhouettes
+from mv_slapse.geometry.blocks import grid_centres
+from mv_slapse.records import Extraction, MapPlane, ScaleStatus, SceneEstimate
 import numpy as np
 
 SCHEMA_VERSION = 1
@@ -19,27 +18,27 @@ class LabelArchive:
         """Hold nothing yet; the first key frame settles the grid."""
         self._size = (0, 0)
         self._stamps: list[int] = []
-        self._grids: list[labels.LabelGrid] = []
-        self._movers = Silhouettes()
+        self._labels: list[np.ndarray] = []
+        self._planes: list[np.ndarray] = []
 
-    def add(self, correspondences: Correspondences, extraction: Extraction):
+    def add(self, extraction: Extraction):
         """Take the labels of a key frame; one of another picture size is left out."""
         size = extraction.width, extraction.height
         if not self._stamps:
             self._size = size
         if size == self._size:
             self._stamps.append(extraction.stamp)
-            grid = labels.vote(correspondences, extraction)
-            self._grids.append(self._movers.fill(grid, correspondences, extraction))
+            self._labels.append(extraction.macroblock_label)
+            self._planes.append(extraction.macroblock_plane)
 
     def save(self, path: Path):
         """Write ``stamp`` [s], ``x``, ``y`` [px], ``label`` and ``plane``."""
-        centres = labels.grid_centres(*self._size)
-        shape = len(self._grids), len(centres)
+        centres = grid_centres(*self._size)
+        shape = len(self._stamps), len(centres)
         np.savez_compressed(
             path, stamp=np.array(self._stamps, np.int64) / 1e9, x=centres[:, 0], y=centres[:, 1],
-            label=np.array([grid.label for grid in self._grids], np.int8).reshape(shape),
-            plane=np.array([grid.plane for grid in self._grids], np.int32).reshape(shape))
+            label=np.array(self._labels, np.int8).reshape(shape),
+            plane=np.array(self._planes, np.int32).reshape(shape))
 
 
 class MapArchive:

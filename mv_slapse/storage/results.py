@@ -59,7 +59,7 @@ class ResultsWriter:
             self._write_pose(step)
             _put(self._planes, tables.plane_rows(scene))
         _put(self._obstacles, (tables.obstacle_row(o) for o in step.obstacles))
-        self._labels.add(step.correspondences, step.extraction)
+        self._labels.add(step.extraction)
         self._map.add(scene)
         self._messages.write(step)
 

@@ -73,11 +73,14 @@ def test_planes_and_obstacles_have_a_row_for_each_key_frame(out):
     np.testing.assert_array_equal(obstacles['stamp'], PERIOD * np.arange(1, 5))
 
 
-def test_labels_have_a_row_for_each_key_frame(out):
+def test_labels_have_a_row_for_each_key_frame(out, steps):
     with np.load(out / 'labels.npz') as labels:
         shapes = {name: labels[name].shape for name in labels}
         assert (labels['label'].dtype, labels['plane'].dtype) == (np.int8, np.int32)
         np.testing.assert_allclose(labels['stamp'], [0.1, 0.2, 0.3, 0.4])
+        for k, step in enumerate(steps):
+            np.testing.assert_array_equal(labels['label'][k], step.extraction.macroblock_label)
+            np.testing.assert_array_equal(labels['plane'][k], step.extraction.macroblock_plane)
     n = 20 * 15
     assert shapes == {'stamp': (4,), 'x': (n,), 'y': (n,), 'label': (4, n), 'plane': (4, n)}
 

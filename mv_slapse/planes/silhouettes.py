@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
-from mv_slapse.geometry.blocks import macroblock_of
+from mv_slapse.geometry.blocks import grid_centres, grid_shape, macroblock_of
+from mv_slapse.planes.macroblocks import vote
 from mv_slapse.records import Correspondences, Extraction, Label
-from mv_slapse.storage.labels import grid_centres, grid_shape, LabelGrid
 import numpy as np
 
 LIFETIME = 500_000_000  # [ns] after which a macroblock is no longer a mover's without evidence
@@ -59,21 +59,20 @@ class Silhouettes:
         """Know no mover yet."""
         self._known: dict[int, _Silhouette] = {}
 
-    def fill(self, grid: LabelGrid, correspondences: Correspondences,
-             extraction: Extraction) -> LabelGrid:
-        """Return labels in which movers hold the macroblocks without a label that they cover.
+    def fill(self, extraction: Extraction, correspondences: Correspondences) -> Extraction:
+        """Return an extraction with its macroblocks labelled.
+
+        Movers hold the macroblocks without a vector that they cover.
 
         Parameters
         ----------
-        grid : LabelGrid
-            Labels of the macroblocks that have vectors.
-        correspondences, extraction : Correspondences, Extraction
-            Of the same key frame.
+        extraction, correspondences : Extraction, Correspondences
+            Of the same key frame, row by row of the same blocks.
         """
         size, stamp = (extraction.width, extraction.height), extraction.stamp
-        motions = self._motions(correspondences, extraction)
-        known, label, plane = {}, grid.label.copy(), grid.plane.copy()
-        for id_, motion in motions.items():
+        label, plane = vote(extraction, correspondences.x_cur)
+        known = {}
+        for id_, motion in self._motions(extraction, correspondences).items():
             seen = self._carried(id_, motion, size, stamp)
             own = (plane == id_) & (label == Label.MOVING)
             seen[_outline(own, size)] = stamp
@@ -83,11 +82,11 @@ class Silhouettes:
                 known[id_] = _Silhouette(seen, motion)
                 label[seen != NEVER], plane[seen != NEVER] = Label.MOVING, id_
         self._known = known
-        return replace(grid, label=label, plane=plane)
+        return replace(extraction, macroblock_label=label, macroblock_plane=plane)
 
-    def _motions(self, correspondences, extraction) -> dict[int, _Motion]:
+    def _motions(self, extraction, correspondences) -> dict[int, _Motion]:
         """Return the motion of each mover in view, and of those that were, as it was."""
-        motions = {plane.id: _motion(correspondences, extraction, plane.id)
+        motions = {plane.id: _motion(extraction, correspondences, plane.id)
                    for plane in extraction.planes if plane.label is Label.MOVING}
         before = {id_: known.motion.on() for id_, known in self._known.items()}
         return before | {id_: motion for id_, motion in motions.items() if motion is not None}
@@ -106,15 +105,13 @@ class Silhouettes:
         return seen
 
 
-def _motion(correspondences, extraction, id_) -> _Motion | None:
+def _motion(extraction, correspondences, id_) -> _Motion | None:
     """Return the motion of a mover's blocks in the picture, lens and all; None: too few."""
-    same = len(correspondences.x_cur) == len(extraction.x_cur)
-    columns = correspondences if same else extraction
     member = (extraction.plane_id == id_) & (extraction.label == Label.MOVING)
     if member.sum() < LEAST:
         return None
-    x = columns.x_cur[member].astype(float)
-    vector = columns.x_prev[member] - x
+    x = correspondences.x_cur[member].astype(float)
+    vector = correspondences.x_prev[member] - x
     shift, centre = np.median(vector, axis=0), x.mean(axis=0)
     off, left = x - centre, vector - shift
     length = np.linalg.norm(left, axis=1)

@@ -1,5 +1,6 @@
 """A picture of 8x6 macroblocks, and a mover 7 on some of them."""
 
+from mv_slapse.planes.silhouettes import Silhouettes
 from mv_slapse.records import (
     CameraMotion,
     Correspondences,
@@ -9,8 +10,6 @@ from mv_slapse.records import (
     PlaneObservation,
     SegmentKind,
 )
-from mv_slapse.storage.labels import vote
-from mv_slapse.storage.silhouettes import Silhouettes
 import numpy as np
 import pytest
 
@@ -45,9 +44,8 @@ class Film:
             plane_id=np.where(mover, 7, -1).astype(np.int32), **columns)
         correspondences = Correspondences(self.stamp, self.stamp - PAIR, *SIZE, SegmentKind.PP,
                                           **columns)
-        self.grid = self.silhouettes.fill(vote(correspondences, extraction), correspondences,
-                                          extraction)
-        return self.grid.label.reshape(6, 8)
+        self.shown = self.silhouettes.fill(extraction, correspondences)
+        return self.shown.macroblock_label.reshape(6, 8)
 
 
 @pytest.fixture
@@ -58,7 +56,7 @@ def film():
 def test_a_hole_inside_a_mover_is_part_of_it(film):
     label = film.show(RING)
     assert label[2, 3] == Label.MOVING
-    assert film.grid.plane.reshape(6, 8)[2, 3] == 7
+    assert film.shown.macroblock_plane.reshape(6, 8)[2, 3] == 7
     assert np.sum(label == Label.MOVING) == 9
     assert np.sum(label == Label.UNKNOWN) == 39
 
