@@ -49,7 +49,8 @@ def predicted(frame: FrameVectors, whole: np.ndarray, direction: int) -> np.ndar
     beside[last] = table[row[last] - 1, column[last] - 1]
     around = np.stack([left, above, beside])
     there = np.isfinite(around[..., 0])
-    median = np.median(np.where(there[..., None], around, 0), axis=0)
+    a, b, c = np.where(there[..., None], around, np.float32(0))
+    median = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))  # fast
     only = np.take_along_axis(around, there.argmax(axis=0)[None, :, None], axis=0)[0]
     return np.where((there.sum(axis=0) == 1)[:, None], only, median)
 

@@ -298,11 +298,14 @@ class SceneFilter:
                 self._progress.fastest *= metric / max(guess, 1e-9)
                 self._map.scale(metric / max(guess, 1e-9))
                 scene_state.widen_scale(self._state, FIRST_HEIGHT_SIGMA)
+            scene_gauge.doubt_scale(self._state, 0.0)
             progress.metric = True
             return metric
         if progress.started and guess > 1e-9:
             return guess
-        return scene_rest.supposed_baseline(extraction, settings.camera_height) or 1.0
+        supposed = scene_rest.supposed_baseline(extraction, settings.camera_height)
+        scene_gauge.doubt_scale(self._state, scene_rest.SUPPOSED_SIGMA if supposed else 0.0)
+        return supposed or 1.0
 
     def _join(self, extraction: Extraction, known: set[int], trusted: set[int],
               baseline: float, shown: Pose) -> list[int]:

@@ -41,6 +41,13 @@ def begin_anew(state: SceneState, is_metric: bool):
     state.gauge = Gauge(state.current.t.copy(), block_diag(pose, scale**2))
 
 
+def doubt_scale(state: SceneState, sigma: float):
+    """Let all lengths be unsure by a share of them, from where the scene has begun."""
+    covariance = state.gauge.covariance
+    covariance[6], covariance[:, 6] = 0, 0
+    covariance[6, 6] = sigma**2
+
+
 def _speed_sigma(state: SceneState) -> float:
     """Return the standard deviation of the speed, as a share of it."""
     v = state.velocity

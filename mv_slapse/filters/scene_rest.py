@@ -8,6 +8,7 @@ from mv_slapse.records import Extraction, Label
 import numpy as np
 
 LOW = 0.07  # tangent of the angle below the horizon: the ground within 14 camera heights
+SUPPOSED_SIGMA = 0.2  # of the log of a baseline so supposed: 4 to 12 % was met, and 50 % once
 ROAD = 1.5  # camera heights to either side, which a road is wide
 
 

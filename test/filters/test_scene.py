@@ -239,14 +239,30 @@ def test_with_no_known_plane_and_no_ratio_the_length_is_predicted():
     assert canyon_views.turn_between(estimate.R_world_from_cam, canyon.pose(11)[0]) < 2e-3
 
 
+def without_ground(extraction, label=Label.UNKNOWN):
+    """What a pair shows whose lower half, with this label, makes no plane."""
+    low = extraction.x_cur[:, 1] > extraction.K[1, 2]
+    return replace(extraction, planes=extraction.planes[1:],
+                   plane_id=np.where(low, -1, extraction.plane_id),
+                   label=np.where(low, label, extraction.label))
+
+
+def test_until_the_ground_is_found_the_covariance_holds_that_lengths_are_guessed():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    for k in range(1, 6):
+        guessed, _ = filter_.step(without_ground(canyon.extraction(k), Label.STATIONARY))
+    length = np.linalg.norm(guessed.t_world_from_cam)
+    along = guessed.t_world_from_cam / length
+    sigma = np.sqrt(along @ guessed.pose_covariance[:3, :3] @ along)
+    assert 0.2 * length < sigma < 0.25 * length
+    found, _ = filter_.step(canyon.extraction(6))
+    assert np.sqrt(along @ found.pose_covariance[:3, :3] @ along) < 0.05 * length
+
+
 def test_a_ground_found_later_makes_the_scale_metric():
     canyon, filter_ = Canyon(), SceneFilter(METRIC)
     for k in range(1, 6):
-        extraction = canyon.extraction(k)
-        low = extraction.x_cur[:, 1] > extraction.K[1, 2]
-        estimate, _ = filter_.step(replace(
-            extraction, planes=extraction.planes[1:],
-            label=np.where(low, Label.UNKNOWN, extraction.label)))
+        estimate, _ = filter_.step(without_ground(canyon.extraction(k)))
     assert estimate.scale_status is ScaleStatus.UNKNOWN
     assert estimate.baseline == pytest.approx(1.0, abs=0.05)
     last = driven(canyon, 15, filter_=filter_, first=6)[-1]
