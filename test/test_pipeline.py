@@ -18,7 +18,6 @@ from mv_slapse.records import (
     TrackingStatus,
 )
 from mv_slapse.simulation.drawn import draw, draw_pair
-from mv_slapse.simulation.paths import steady
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.storage.tum import read_trajectory, Trajectory
@@ -88,21 +87,11 @@ def test_the_trajectory_stays_within_two_percent_of_the_way(settings):
     assert all(step.scene.status is TrackingStatus.OK for step in steps)
 
 
-def between_buses(seed):
-    """Return a street with a bus right ahead and one in the next lane, 40 % of the blocks."""
-    street = Street(StreetSettings(seed=seed, n_frames=73, movers=('same_speed', 'slower')))
-    bus = {'size': (2.6, 3.4, 9.0)}
-    street.movers = tuple(
-        replace(car, start=start, profile=steady(speed), **bus)
-        for car, start, speed in zip(street.movers, (13.5, 9.0), (10.3, 9.5), strict=True))
-    return street
-
-
 def test_traffic_on_two_fifths_of_the_picture_leaves_the_trajectory():
     mean = {'free': 0.0, 'busy': 0.0}
     for seed in range(2):
-        free = Street(StreetSettings(seed=seed, n_frames=73, movers=()))
-        for name, street in (('free', free), ('busy', between_buses(seed))):
+        for name, movers in (('free', ()), ('busy', ('bus_ahead', 'bus_beside'))):
+            street = Street(StreetSettings(seed=seed, n_frames=73, movers=movers))
             rng = np.random.default_rng(seed)
             pairs = [draw(street, STRIDE * (k - 1), STRIDE * k, rng) for k in range(1, 25)]
             steps = run(street, [pair.correspondences for pair in pairs])

@@ -1,8 +1,11 @@
 """Cars: which move, where, how fast; which are parked.
 
-Cars do not see each other: of slower, starting and stopping (right lane) and of faster and
-same_speed (own lane), take one each where they should not drive through one another.
+Cars do not see each other: of slower, starting, stopping and bus_beside (right lane) and of
+faster, same_speed and bus_ahead (own lane), take one each where they should not drive through one
+another.
 """
+
+from dataclasses import replace
 
 from mv_slapse.simulation import textures
 from mv_slapse.simulation.paths import Path, SpeedProfile, steady
@@ -10,7 +13,9 @@ from mv_slapse.simulation.surfaces import FIRST_MOVER
 from mv_slapse.simulation.vehicles import Car
 import numpy as np
 
-KINDS = ('slower', 'faster', 'same_speed', 'oncoming', 'crossing', 'starting', 'stopping')
+KINDS = ('slower', 'faster', 'same_speed', 'oncoming', 'crossing', 'starting', 'stopping',
+         'bus_ahead', 'bus_beside')
+BUS = (2.6, 3.4, 9.0)  # width, height, length [m]
 OWN_LANE, RIGHT_LANE, LEFT_LANE, PARKING = 0.0, 3.4, -3.6, 6.4   # lateral [m]
 CROSSING_AT = 50.0   # arc length of the street that crosses [m]
 
@@ -43,13 +48,16 @@ def _mover(id_: int, kind: str, path: Path, speed: float, far: float,
                      SpeedProfile((1.5 + late, 4.0 + late), (0.0, 8 + change))),
         'stopping': (RIGHT_LANE, 26 + gap,
                      SpeedProfile((0.5 + late, 2.0 + late), (8 + change, 0.0))),
+        'bus_ahead': (OWN_LANE, 13.5, steady(pace + 0.3)),
+        'bus_beside': (RIGHT_LANE, 9.0, steady(pace - 0.5)),
     }
     lateral, start, profile = plans[kind]
     if kind == 'crossing':
         place = path.at(CROSSING_AT)
         x, z = place.position
         path = Path(origin=(float(x), float(z)), heading=place.heading + np.pi / 2)
-    return Car(id_, kind, path, lateral, start, profile, _paint(), shade=rng.uniform(0.6, 1.2))
+    car = Car(id_, kind, path, lateral, start, profile, _paint(), shade=rng.uniform(0.6, 1.2))
+    return replace(car, size=BUS) if kind.startswith('bus') else car
 
 
 def park(n: int, path: Path, rng: np.random.Generator) -> tuple[Car, ...]:

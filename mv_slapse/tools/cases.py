@@ -33,7 +33,8 @@ LOW_RATE_ENCODINGS = {
 TRAFFIC = {  # kind of street: which cars move, by turns from seed to seed
     'street': (('slower', 'faster', 'oncoming'),),
     'crossing': (('starting', 'crossing', 'oncoming'), ('stopping', 'crossing', 'faster')),
-    'quiet': ((),)}
+    'quiet': ((),),
+    'busy': (('bus_ahead', 'bus_beside'),)}  # two fifths of the picture; the rest as in 'quiet'
 CAR = {'width': 1240, 'height': 376, 'focal': 718.0, 'fps': 10.0}  # the camera of kitti00
 DRIVES: dict[str, dict[str, Any]] = {  # how the camera drives, where it is not straight on
     'standstill': {'standstill': (2.0, 12.0), 'n_frames': 450},
