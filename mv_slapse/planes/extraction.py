@@ -19,7 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 CUT = 2.0  # sigma: 95 % of a plane's own blocks; 3 sigma let in half as many strangers again
-MAX_EXCESS = 0.7  # 3 of some 20 degrees of freedom make 0.15; a plane one sigma off makes 1
+MAX_EXCESS = 0.5  # 3 of some 20 degrees of freedom make 0.15; a plane one sigma off makes 1
 MAX_BLUR = 0.06  # a block's depth, as a share: at 3 sigma 0.18, and set-backs differ by 0.2
 ROUGHNESS = 0.01  # relief within a window, as a share of depth: frames and sills of windows
 DENSITY = 0.6  # share of a plane's blocks among those in its outline; less is vegetation
@@ -49,7 +49,6 @@ class Rules:
     radius: float
     max_planes: int
     max_uncertainty: float
-    relief: float = 0.03
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ def stationary_planes(depths: Depths, free: np.ndarray, known: Sequence[KnownPla
     Parameters
     ----------
     depths : Depths
-        All blocks, (N,).
+        All blocks, (N,), with the errors of their vectors only.
     free : (N,) bool array
         Blocks that may join a plane.
     known : sequence of KnownPlane
@@ -136,12 +135,8 @@ def stationary_planes(depths: Depths, free: np.ndarray, known: Sequence[KnownPla
 
 
 def _sharp_blocks(depths: Depths, free: np.ndarray, up, rules: Rules):
-    """Return Blocks of those that can tell one plane from the next, and their numbers.
-
-    The relief that ``sigma`` allows for is taken out again: here it is measured.
-    """
-    vector = np.square(depths.sigma) - np.square(rules.relief * depths.rho)
-    sigma = np.sqrt(np.maximum(vector, 0) + np.square(ROUGHNESS * depths.rho) + 1e-18)
+    """Return Blocks of those that can tell one plane from the next, and their numbers."""
+    sigma = np.hypot(depths.sigma, ROUGHNESS * depths.rho) + 1e-9
     index = np.flatnonzero(free & (sigma < MAX_BLUR * depths.rho))
     if len(index) < rules.min_macroblocks:
         return None, index

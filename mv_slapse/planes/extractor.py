@@ -8,6 +8,7 @@ from mv_slapse.geometry import epipolar, two_view
 from mv_slapse.geometry.camera import Camera, undistort
 from mv_slapse.planes import (
     camera_motion,
+    depth_grid,
     doubtful,
     extraction,
     ground,
@@ -69,7 +70,7 @@ class PlaneExtractor:
         self._silhouettes = Silhouettes()
         self._rules = extraction.Rules(
             settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
-            settings.max_planes, settings.max_uncertainty, settings.relief)
+            settings.max_planes, settings.max_uncertainty)
 
     def extract(self, correspondences: Correspondences) -> Extraction:
         """Extract what one key frame pair shows; figure 1 of [MVO], top.
@@ -211,13 +212,24 @@ class PlaneExtractor:
             found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
         known = self._known(blank, fit, ratio)
+        depths = self._carried(blank, pair, replace(depths, sigma=evidence.blur), fit, ratio)
         walls, known = extraction.stationary_planes(
             depths, free, known, prior.normal if floor is None else _unit(floor.plane),
             self._rules, self._rules.max_planes - len(found), self._memory.next_id)
         newest = max((plane.id for plane in known), default=-1)
-        self._memory = replace(self._memory, planes=tuple(known),
-                               next_id=max(self._memory.next_id, newest + 1))
+        self._memory = replace(
+            self._memory, planes=tuple(known), next_id=max(self._memory.next_id, newest + 1),
+            grid=depth_grid.noted(blank.width, blank.height, depths[free]))
         return found + walls
+
+    def _carried(self, blank, pair, depths: Depths, fit: MotionFit, ratio) -> Depths:
+        """Join the depths of a pair with those that the pairs before have left."""
+        grid = self._memory.grid
+        if (grid is None or self._memory.stamp != blank.previous_stamp
+                or not np.isfinite(ratio.sigma)):
+            return depths
+        return depth_grid.joined(depths, *grid.predicted(
+            pair, fit.R_cur_from_prev, fit.t_cur_from_prev, float(np.exp(ratio.log))))
 
     def _known(self, blank, fit: MotionFit, ratio) -> list[KnownPlane]:
         """Predict the planes of the last pair; none where this pair does not follow it."""
@@ -342,7 +354,8 @@ class PlaneExtractor:
             blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
             scale.depth_map(*size, blank.x_cur, evidence.rho, _noise(pair, found.fit),
                             found.fit.t_cur_from_prev[2], _with_depth(evidence) & ~found.doubtful),
-            self._memory.planes, doubtful.painted(found.moving), self._memory.height)
+            self._memory.planes, doubtful.painted(found.moving), self._memory.height,
+            self._memory.grid)
 
 
 def _labels(found: Found):

@@ -20,8 +20,8 @@ class Evidence:
         In standard deviations.
     epipolar_inlier : (N,) bool array
         (3).
-    rho, sigma_rho : (N,) arrays
-        Inverse depth and its standard deviation [1/baseline].
+    rho, sigma_rho, blur : (N,) arrays
+        Inverse depth, its standard deviation, and the part of it that vectors make [1/baseline].
     parallax : (N,) array
         ||x'_prev - x_cur||, [px].
     at_infinity : (N,) bool array
@@ -34,6 +34,7 @@ class Evidence:
     epipolar_inlier: np.ndarray
     rho: np.ndarray
     sigma_rho: np.ndarray
+    blur: np.ndarray
     parallax: np.ndarray
     at_infinity: np.ndarray
     backward: np.ndarray
@@ -113,9 +114,9 @@ def evidence(pair: two_view.Pair, fit: MotionFit, epsilon_f: float, epsilon_m: f
     R, t, focal = fit.R_cur_from_prev, fit.t_cur_from_prev, pair.focal
     error = epipolar.epipolar_error(pair.rays_cur, pair.rays_prev, focal, R, t) / pair.sigma
     rho, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, focal, R, t)
-    sigma_rho = np.hypot(per_pixel * pair.sigma, relief * rho)
+    blur = per_pixel * pair.sigma
     parallax = np.linalg.norm(epipolar.parallax(pair.rays_cur, pair.rays_prev, focal, R), axis=1)
     inlier = np.abs(error) < epsilon_f
-    return Evidence(error, inlier, rho, sigma_rho, parallax,
+    return Evidence(error, inlier, rho, np.hypot(blur, relief * rho), blur, parallax,
                     inlier & (parallax < epsilon_m),
-                    inlier & (parallax >= epsilon_m) & (rho < -3 * per_pixel * pair.sigma))
+                    inlier & (parallax >= epsilon_m) & (rho < -3 * blur))

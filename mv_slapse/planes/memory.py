@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 from mv_slapse.planes import scale
 from mv_slapse.planes.camera_motion import MotionFit
+from mv_slapse.planes.depth_grid import DepthGrid
 from mv_slapse.planes.ground import GroundTrack, Mount
 from mv_slapse.planes.height import HeightBelief
 from mv_slapse.planes.known import KnownPlane
@@ -31,6 +32,7 @@ class Memory:
     planes: tuple[KnownPlane, ...] = ()
     movers: np.ndarray | None = None
     height: HeightBelief = HeightBelief.blank()
+    grid: DepthGrid | None = None
 
     def turned(self, stamp: int, R) -> 'Memory':
         """Return it after the camera has turned by R_cur_from_prev on the spot."""
@@ -39,7 +41,7 @@ class Memory:
         floor = self.ground.plane
         floor = floor if floor is None else R @ floor
         return replace(self, stamp=stamp, previous_stamp=None, depths=None, planes=planes,
-                       movers=None, ground=replace(self.ground, plane=floor))
+                       movers=None, grid=None, ground=replace(self.ground, plane=floor))
 
     def log_ratio(self, blank: Extraction, ratio: scale.BaselineRatio) -> tuple[float, float]:
         """Return the logarithm of a pair's baseline over the last one, and its uncertainty."""

@@ -9,7 +9,7 @@ import pytest
 from walls import UP, WALLS, walls
 
 RULES = Rules(cut=3.0, min_macroblocks=20, trials=256, radius=96.0, max_planes=8,
-              max_uncertainty=0.12, relief=0.0)
+              max_uncertainty=0.12)
 
 
 def find(depths, known=(), free=None, rules=RULES, room=8, next_id=0):

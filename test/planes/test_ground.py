@@ -213,7 +213,8 @@ def surveyed(rng, prior, learns=True, n=120):
     rho[wrong] *= np.exp(rng.uniform(-2, 2, len(wrong)))
     depths = replace(depths, rho=rho)
     inlier, parallax = np.ones(len(rho), bool), np.clip(500 * rho, 5, 50)
-    evidence = Evidence(np.zeros(len(rho)), inlier, rho, depths.sigma, parallax, ~inlier, ~inlier)
+    evidence = Evidence(np.zeros(len(rho)), inlier, rho, depths.sigma, depths.sigma, parallax,
+                        ~inlier, ~inlier)
     result = ground.survey(depths, np.full(len(rho), 0.3), evidence, lone, prior,
                            height.HeightBelief.blank(), 3.0, learns)
     return *result, lone, wrong
