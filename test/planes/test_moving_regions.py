@@ -114,6 +114,18 @@ def test_what_is_far_behind_a_car_ahead_is_no_part_of_it():
     assert not np.any(found.label[trees] == Label.MOVING)
 
 
+def test_a_ground_that_no_road_shows_now_tells_movers_still():
+    memory = Memory()
+    for stamp in range(1, 8):
+        pair, car, trees, ground = behind_a_car_of_the_same_speed(stamp)
+        shown = car | trees
+        rows = {name: getattr(pair, name)[shown]
+                for name in ('x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')}
+        found, memory = with_moving_planes(replace(pair, **rows), ground, memory, THRESHOLD)
+    assert np.mean(found.label[car[shown]] == Label.MOVING) > 0.6
+    assert not np.any(found.label[trees[shown]] == Label.MOVING)
+
+
 def test_what_is_half_as_sure_moves_beside_a_mover_only():
     pair, _, _, ground = behind_a_car_of_the_same_speed(1)
     x = pair.x_cur.astype(float)
