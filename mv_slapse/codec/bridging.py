@@ -25,7 +25,7 @@ def can_bridge(segment: Segment) -> bool:
     return (segment.current.frame_type is FrameType.I and segment.previous.luma is not None
             and segment.current.luma is not None and not segment.current.damage
             and segment.previous.luma.shape == segment.current.luma.shape
-            and segment.current.stamp - segment.previous.stamp <= LONGEST)
+            and 0 < segment.current.stamp - segment.previous.stamp <= LONGEST)
 
 
 def search(segment: Segment, expect: MotionPrior, settings: DecoderSettings) -> Evidence:

@@ -1,5 +1,7 @@
 """Packets to motion vectors of pictures in the order of presentation, by FFmpeg."""
 
+from collections import deque
+
 import av
 from mv_slapse.codec import bitstream
 from mv_slapse.codec.motion_vectors import columns, FrameVectors
@@ -12,6 +14,7 @@ WITH_VECTORS = ('h264', 'mpeg2video', 'mpeg1video', 'mpeg4', 'h263', 'flv1')
 MAX_PIXELS = 64_000_000
 LONGEST_REORDERING = 2_000_000_000  # ns; a stamp farther back is a source that began again
 NUMBERED = ('mpeg1video', 'mpeg2video')
+COPIES = 16  # packets within which a network delivers one twice: half a second
 PLACES = 1024  # values of temporal_reference
 CURE = ('re-encode it, for instance with: ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 '
         'OUTPUT.mp4, or: ffmpeg -i INPUT -c:v mpeg2video -q:v 3 -bf 3 -g 12 OUTPUT.mpg')
@@ -44,6 +47,7 @@ class FrameDecoder:
         self._lost = ''
         self._count = 0
         self._last_key = b''
+        self._recent: deque[Packet] = deque(maxlen=COPIES)
 
     @property
     def references(self) -> int:
@@ -63,6 +67,9 @@ class FrameDecoder:
         """
         if not packet.data:
             return []  # an empty packet would put FFmpeg into its end state for good
+        if packet in self._recent:
+            return []  # a copy would move everything once more
+        self._recent.append(packet)
         if self._context is None:
             self._open(packet)
         return self._decode(self._wrap(packet))
@@ -205,7 +212,9 @@ def _numbered(data: bytes, number: int) -> av.Packet:
 
 
 def _luma(picture: av.VideoFrame) -> np.ndarray:
-    """Return the first plane; a view that keeps the picture alive, nothing is copied."""
-    plane = picture.planes[0]
+    """Return the first plane as uint8; of 8 bits a view that keeps the picture alive."""
+    plane, bits = picture.planes[0], picture.format.components[0].bits
     rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
+    if bits > 8:
+        rows = (rows.view(np.uint16) >> (bits - 8)).astype(np.uint8)
     return rows[:picture.height, :picture.width]

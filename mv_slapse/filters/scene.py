@@ -101,9 +101,7 @@ class SceneFilter:
         """Predict to the key frame and correct; return the tracking status and its reason."""
         status = extraction.motion.status
         follows = self._catch_up(extraction)
-        dt = (extraction.stamp - self._progress.stamp) * 1e-9
-        self._progress.stamp = extraction.stamp
-        reason = extraction.reason
+        dt, reason = self._elapsed(extraction.stamp), extraction.reason
         if status != MotionStatus.UNKNOWN and scene_gauge.is_vague(self._state):
             self._begin_anew()
         if status == MotionStatus.STANDSTILL:
@@ -117,6 +115,17 @@ class SceneFilter:
             return self._unsupported(extraction.stamp, reason)
         self._predict(dt)
         return self._correct(extraction, follows)
+
+    def _elapsed(self, stamp: int) -> float:
+        """Return the time [s] since the last key frame; as usual where a clock was set back."""
+        progress = self._progress
+        dt = (stamp - progress.stamp) * 1e-9
+        if dt > 0:
+            progress.interval = dt
+        elif progress.supported is not None:
+            progress.supported = min(progress.supported, stamp)
+        progress.stamp = stamp
+        return progress.interval
 
     def _catch_up(self, extraction: Extraction) -> bool:
         """Predict through pairs that never came; return whether there was none.

@@ -10,10 +10,12 @@ class Progress:
 
     ``started``: it has moved, so that there is a scale; ``carried``: the last pair's depths have
     one; ``rested``: no baseline since a rest; ``anew``: nor since the heading
-    was lost; ``misses``: how often in a row each plane has contradicted the map.
+    was lost; ``misses``: how often in a row each plane has contradicted the map; ``interval`` [s]:
+    between the last two key frames.
     """
 
     stamp: int
+    interval: float = 0.0
     supported: int | None = None
     metric: bool = False
     fastest: float = 0.0

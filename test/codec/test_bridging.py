@@ -55,8 +55,8 @@ def test_what_left_the_picture_is_not_found(rng):
 
 @pytest.mark.parametrize('change', [
     {'luma': None}, {'damage': 'lost'}, {'frame_type': FrameType.P},
-    {'luma': np.zeros((8, 8), np.uint8)}])
-def test_only_a_whole_i_frame_of_the_same_size_is_bridged(rng, change):
+    {'luma': np.zeros((8, 8), np.uint8)}, {'stamp': 0}, {'stamp': -10**10}])
+def test_only_a_whole_and_later_i_frame_of_the_same_size_is_bridged(rng, change):
     whole = segment(pictures.sliding(rng, 2, (1, 0)))
     assert can_bridge(whole)
     assert not can_bridge(replace(whole, current=replace(whole.current, **change)))

@@ -79,6 +79,16 @@ def test_a_lost_packet_breaks_one_pair_with_a_reason(rng):
     assert 'lost' in broken[0].reason
 
 
+@pytest.mark.parametrize('back', [10_000_000_000, 0])
+def test_a_clock_that_is_set_back_breaks_one_pair_also_at_an_i_frame(rng, back):
+    coded = packets(rng, Encoding('h264', 0, 6), 12)
+    coded = [replace(packet, stamp=packet.stamp + 10_000_000_000 - (
+        back or 40_000_000) * (i > 5)) for i, packet in enumerate(coded)]
+    pairs = decoded(coded)
+    assert [pair.reason for pair in pairs] == [
+        *[''] * 5, 'time stamps do not increase', *[''] * 5]
+
+
 def test_a_change_of_size_breaks_one_pair(rng):
     wide = encode(pictures.sliding(rng, 5, STEP, (320, 192)), 25, LOW_LATENCY)
     coded = packets(rng, LOW_LATENCY, 5) + [

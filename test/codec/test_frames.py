@@ -82,6 +82,37 @@ def test_an_empty_packet_is_ignored(rng):
     assert len(decoded(packets)) == 6
 
 
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_packets_that_a_network_delivers_twice_count_once(rng, encoding):
+    packets = list(encode(pictures.sliding(rng, 14, (2, 1)), 25, encoding))
+    twice = [*packets[:6], packets[5], *packets[6:9], packets[4], *packets[9:]]
+    for once, frame in zip(decoded(packets), decoded(twice), strict=True):
+        assert (once.stamp, frame.damage) == (frame.stamp, '')
+        np.testing.assert_array_equal(once.displacement, frame.displacement)
+
+
+def test_luma_of_ten_bits_is_that_of_eight(rng):
+    images = pictures.sliding(rng, 3, (2, 1))
+    context = av.CodecContext.create('libx264', 'w')
+    context.width, context.height = images[0].shape[::-1]
+    context.pix_fmt, context.time_base = 'yuv420p10le', Fraction(1, 25)
+    context.options = {'crf': '1', 'bf': '0'}
+    coded = [packet for i, image in enumerate(images) for packet in context.encode(
+        ten_bits(image, i))] + context.encode(None)
+    frames = decoded([Packet(bytes(packet), packet.pts * 40_000_000, False, 'h264', b'')
+                      for packet in coded], with_luma=True)
+    for image, frame in zip(images, frames, strict=True):
+        assert frame.luma.dtype == np.uint8
+        # From a picture's full range to a video's, of 16 to 235.
+        assert np.median(np.abs(16 + image * (219 / 255) - frame.luma)) <= 1
+
+
+def ten_bits(image, number) -> av.VideoFrame:
+    picture = av.VideoFrame.from_ndarray(image, 'gray').reformat(format='yuv420p10le')
+    picture.pts, picture.time_base = number, Fraction(1, 25)
+    return picture
+
+
 def test_a_packet_of_noise_is_damage_and_no_exception(rng):
     packets = list(encode(pictures.sliding(rng, 8, (2, 1)), 25, LOW_LATENCY))
     packets[4] = replace(packets[4], data=packets[4].data[:5] + rng.bytes(60))

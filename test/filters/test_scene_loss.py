@@ -1,5 +1,7 @@
 """The scene filter without a view: predicted, lost, and after it."""
 
+from dataclasses import replace
+
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters.scene import SceneFilter
 from mv_slapse.geometry import rotation
@@ -22,6 +24,23 @@ def test_a_lost_pair_is_predicted_and_the_filter_goes_on():
     assert after[0].status is TrackingStatus.OK
     assert max(position_errors(canyon, after, 13)) < 0.3
     assert np.trace(after[-1].pose_covariance) < volumes[-1] * 3
+
+
+def test_a_clock_that_is_set_back_is_taken_for_the_usual_time():
+    canyon, filter_, back = Canyon(), SceneFilter(METRIC), 10_000_000_000
+    driven(canyon, 10, filter_=filter_)
+    torn = replace(canyon.blank(11), stamp=canyon.blank(11).stamp - back)
+    gap, _ = filter_.step(torn)
+    assert gap.status is TrackingStatus.PREDICTED
+    assert max(position_errors(canyon, [gap], 11)) < 0.1
+    after = [filter_.step(replace(pair, stamp=pair.stamp - back,
+                                  previous_stamp=pair.previous_stamp - back))[0]
+             for pair in map(canyon.extraction, range(12, 20))]
+    assert all(estimate.status is TrackingStatus.OK for estimate in after)
+    assert max(position_errors(canyon, after, 12)) < 0.3
+    lost = [filter_.step(replace(pair, stamp=pair.stamp - back, previous_stamp=(
+        pair.previous_stamp - back)))[0].status for pair in map(canyon.blank, range(20, 34))]
+    assert lost[-1] is TrackingStatus.LOST
 
 
 def test_lost_comes_after_lost_after_and_ends_with_a_view(rng):
