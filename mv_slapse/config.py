@@ -185,6 +185,9 @@ class SceneSettings(Checked):
         0.4, 'px', 'standard deviation of the place in its block that a vector tells of, which '
         'all share: what is left where encoders prefer the vectors of the blocks around', 0.0,
         16.0)
+    focal_sigma: float = setting(
+        0.01, '-', 'standard deviation of the focal length, as a share: what calibration, focus '
+        'and temperature leave', 0.0, 0.5)
     ratio_sigma: float = setting(
         0.006, '-', 'common error of the depths of one pair, as a share: 0.5 % was measured',
         1e-4, 1.0)

@@ -177,7 +177,7 @@ class SceneFilter:
             self._settings.vector_bias / focal)**2
         scene_state.turn_on_the_spot(
             self._state, motion.R_cur_from_prev, noise,
-            started * scene_rest.reach(self._state) / focal)
+            started * scene_rest.reach(self._state) / focal, self._settings.focal_sigma)
         if not started:
             return TrackingStatus.INITIALISING, TURNING
         scene_state.halt(self._state, -rotation.log(motion.R_cur_from_prev) / dt, noise / dt**2)

@@ -15,9 +15,9 @@ import numpy as np
 CAMERA_BLOCKS = ('previous', 'current', 'velocity', 'omega')
 FAINT = 0.5  # of the log of a baseline: beyond, it may as well be none at all
 # Errors that are not estimated: turn by which all vectors err, place in their blocks that they
-# tell of, camera height.
-TURN, PLACE, HEIGHT = slice(0, 3), slice(3, 5), slice(5, 6)
-N_LASTING = HEIGHT.stop
+# tell of, camera height, focal length.
+TURN, PLACE, HEIGHT, FOCAL = slice(0, 3), slice(3, 5), slice(5, 6), 6
+N_LASTING = FOCAL + 1
 
 
 @dataclass
@@ -206,9 +206,21 @@ def halt(state: SceneState, omega: np.ndarray, covariance: np.ndarray):
     state.velocity, state.omega = np.zeros(3), omega
 
 
+def stretched(vectors: np.ndarray) -> np.ndarray:
+    """Return the growth of vectors (..., 3) of a camera with a focal length that is too short.
+
+    For each share by which it is: what lies across the view seems so much farther across, and
+    turns seem larger, but for what the size of the picture makes of second order.
+    """
+    return vectors * np.array([1.0, 1.0, 0.0])
+
+
 def turn_on_the_spot(state: SceneState, R_cur_from_prev: np.ndarray, covariance: np.ndarray,
-                     sigma: float):
-    """Clone the pose and turn it; covariance (3, 3) of the turn, sigma [unit] of the place."""
+                     sigma: float, focal_sigma: float = 0.0):
+    """Clone the pose and turn it; covariance (3, 3) of the turn, sigma [unit] of the place.
+
+    ``focal_sigma`` is the standard deviation of the focal length, as a share.
+    """
     prev, cur = state.at('previous'), state.at('current')
     F = np.eye(state.size)
     F[prev], F[cur, cur] = 0, np.eye(6)
@@ -220,6 +232,8 @@ def turn_on_the_spot(state: SceneState, R_cur_from_prev: np.ndarray, covariance:
     state.previous = state.current.copy()
     state.current = Pose(state.current.R @ R_cur_from_prev.T, state.current.t.copy())
     ekf.predict(state.error, state.error.mu, F, Q)
+    state.error.lasting[cur.start:cur.start + 3, FOCAL] -= focal_sigma * stretched(
+        rotation.log(R_cur_from_prev))
 
 
 def plane_in_camera(state: SceneState, id: int) -> np.ndarray:

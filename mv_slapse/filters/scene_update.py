@@ -12,12 +12,14 @@ from typing import NamedTuple
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters.scene_observations import Observation, Observe
 from mv_slapse.filters.scene_state import (
+    FOCAL,
     N_LASTING,
     observation_jacobian,
     PLACE,
     plane_in_camera,
     relative_motion,
     SceneState,
+    stretched,
     TURN,
 )
 from mv_slapse.geometry import rotation, two_view
@@ -129,6 +131,8 @@ def _of_pair(state: SceneState, pair, index, ids, settings: SceneSettings, first
     G, focal = observation_jacobian(state, ids), pair.focal.mean()
     lasting = np.zeros((state.size, N_LASTING))
     lasting[:, TURN] = G.T @ A[:, :3] * settings.vector_bias / focal
+    longer = np.r_[rotation.log(R), t, -planes.ravel()].reshape(-1, 3)
+    lasting[:, FOCAL] = G.T @ (A @ stretched(longer).ravel()) * settings.focal_sigma
     lasting[:, PLACE] = G.T @ (A @ _displaced(R, t, planes)) * settings.place_bias / focal
     return Information(G.T @ A @ G, G.T @ b, lasting)
 

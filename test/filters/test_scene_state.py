@@ -223,6 +223,15 @@ def test_a_turn_on_the_spot_has_the_numerical_transition(state):
     np.testing.assert_allclose(scene_state.relative_motion(state)[0], R, atol=1e-12)
 
 
+def test_a_turn_on_the_spot_is_as_wrong_as_the_focal_length(state):
+    turn, twin = np.array([0.002, 0.3, 0.0]), deepcopy(state)
+    scene_state.turn_on_the_spot(state, rotation.exp(turn), np.zeros((3, 3)), 0.0, 0.01)
+    scene_state.turn_on_the_spot(twin, rotation.exp(1.01 * turn), np.zeros((3, 3)), 0.0)
+    grown = (state.error.lasting - twin.error.lasting)[state.at('current')][:3, scene_state.FOCAL]
+    wrong = rotation.log(state.current.R.T @ twin.current.R)
+    np.testing.assert_allclose(grown, wrong, atol=1e-2 * np.linalg.norm(wrong))
+
+
 def test_the_height_swings_about_its_mean_and_forgets(state):
     def swayed(e):
         twin = deepcopy(state).moved(e)

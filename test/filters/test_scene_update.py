@@ -197,15 +197,16 @@ def test_dependence_and_bias_widen_the_covariance(rng, scene):
 
 
 def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
-    """A turn of all vectors, places beside the middle, a wrong height, against their columns."""
-    settings = replace(SIMPLE, vector_bias=0.05, place_bias=0.5)
+    """A turn of all vectors, places beside the middle, a wrong height or focal length."""
+    settings = replace(SIMPLE, vector_bias=0.05, place_bias=0.5, focal_sigma=0.002)
 
-    def posterior(turn, height, beside=(0.0, 0.0)):
+    def posterior(turn, height, beside=(0.0, 0.0), longer=0.0):
         rays = scene.pair.rays_prev @ rotation.exp(-turn).T
         offset = np.r_[np.array(beside) / scene.pair.focal, 0.0]
-        rays = rays / rays[:, 2:] - offset
+        wide = np.array([1 + longer, 1 + longer, 1])
+        rays = (rays / rays[:, 2:] - offset) * wide
         pair = replace(scene.pair, rays_prev=rays, x_prev=to_pixels(K, rays),
-                       rays_cur=scene.pair.rays_cur - offset)
+                       rays_cur=(scene.pair.rays_cur - offset) * wide)
         state = state_before(scene, np.random.default_rng(1))
         found = scene_update.update(
             state, np.zeros(state.size), pair, scene.surface, IDS, settings,
@@ -218,6 +219,7 @@ def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
     shifts = [posterior(scene.R.T @ (turn * size), 1.65)[0] - base for turn in np.eye(3)]
     shifts += [posterior(np.zeros(3), 1.65, 0.5 * side)[0] - base for side in np.eye(2)]
     shifts.append(posterior(np.zeros(3), 1.67)[0] - base)
+    shifts.append(posterior(np.zeros(3), 1.65, longer=0.002)[0] - base)
     columns = found.error.lasting[found.at('current')]
     scale = np.sqrt(np.diag(found.error.total))[6:12, None]
     np.testing.assert_allclose(columns / scale, np.transpose(shifts) / scale, atol=0.1)
