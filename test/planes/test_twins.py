@@ -1,5 +1,7 @@
 """A plane allows two motions; the one that leaves it before the camera is taken."""
 
+from dataclasses import replace
+
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.geometry.rotation import angle, exp
@@ -52,3 +54,12 @@ def test_the_motion_that_leaves_the_plane_before_the_camera_is_taken(rng):
 
 def test_without_parallax_there_is_no_motion_of_a_plane(rng):
     assert twins.from_homography(floor(rng, noise=0.0, baseline=0.0)) == []
+
+
+def test_a_motion_that_explains_far_less_is_no_twin(rng, monkeypatch):
+    pair = floor(rng)
+    right, *_, wrong = fits(pair)
+    for dearer, taken in ((0.05, True), (0.15, False)):
+        other = replace(right, cost=wrong.cost + dearer)
+        monkeypatch.setattr(twins, 'refined_from', lambda *_, other=other: other)
+        assert (twins.unfolded(pair, wrong) is not wrong) == taken
