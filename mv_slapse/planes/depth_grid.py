@@ -14,7 +14,7 @@ import numpy as np
 
 FORGETTING = 0.7  # share of what is known that lasts a pair: vectors of pairs in a row err alike
 DRIFT = 0.01  # share of the depth by which a pair's motion and the interpolation err
-SAME_SURFACE = 1.3  # ratio of inverse depths next door beyond which an edge lies between
+SAME_SURFACE = 1.15  # ratio of inverse depths next door: beyond, an edge; set-backs differ by 0.2
 GATE = 9.0  # squared, 3 sigma: what differs by more is another surface, or was measured wrongly
 LEAST_WEIGHT = 0.75  # of the bilinear weights that must have a depth
 
