@@ -7,10 +7,6 @@ from mv_slapse.geometry import epipolar, rotation, two_view
 import numpy as np
 
 MIN_CORRESPONDENCES = 12  # 5 unknowns need 5; below about twice that no inlier can be told
-# Sum of robust costs by which another motion must explain a pair better than the last one. Where
-# one plane fills the picture two motions do almost alike (0.3 % of 1300 blocks, as measured), and
-# six neighbouring blocks tell as much as one: e^5 to one.
-AMBIGUITY = 30.0
 
 
 @dataclass(frozen=True)
@@ -56,14 +52,6 @@ def from_essential_matrix(rays_cur, rays_prev, threshold, confidence=0.999):
     R1, R2, t = cv2.decomposeEssentialMat(E[:3])
     R = min((R1, R2), key=rotation.angle)
     return [(R, t[:, 0]), (R, -t[:, 0])]
-
-
-def likeliest(predicted: MotionFit | None, others: list[MotionFit], n: int) -> MotionFit:
-    """Return the motion that explains n correspondences best, the predicted one when in doubt."""
-    best = min([*others, *([] if predicted is None else [predicted])], key=lambda fit: fit.cost)
-    if predicted is not None and (predicted.cost - best.cost) * n < AMBIGUITY:
-        return predicted
-    return best
 
 
 def refine(rays_cur, rays_prev, sigma, focal, R, t, steps=10) -> MotionFit:

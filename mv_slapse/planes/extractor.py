@@ -173,8 +173,7 @@ class PlaneExtractor:
                 pair.rays_cur, pair.rays_prev, 0.7 / pair.K[0, 0])[:1]
             starts = starts or [(np.eye(3), np.array([0.0, 0.0, -1.0]))] * (predicted is None)
             others = [refined_from(pair, *start) for start in starts]
-        best = camera_motion.likeliest(predicted, others, len(pair))
-        return twins.unfolded(pair, twins.oriented(pair, best))
+        return twins.unfolded(pair, twins.likeliest(pair, predicted, others))
 
     def _first_motion(self, blank, pair) -> tuple[MotionFit, np.ndarray]:
         """Estimate the motion without what was a mover, and what must be one by the ground.

@@ -102,31 +102,6 @@ def test_a_standing_camera_gives_finite_numbers(rng):
     assert np.degrees(turn_between(fit.R_cur_from_prev, np.eye(3))) < 0.05
 
 
-def test_of_the_two_motions_of_one_plane_the_predicted_one_is_kept(rng):
-    """A wall alone fits two motions; noise decides between their costs by a per cent."""
-    R, t = motion('sideways')
-    scene = views(R, t, rng, sigma=0.3, planes=[[0.05, 0, -1 / 4]])
-    pair = scene.pair
-    starts = [(R, t), *camera_motion.from_essential_matrix(pair.rays_cur, pair.rays_prev, 1e-3)]
-    right, *others = (camera_motion.refine(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal,
-                                           *start) for start in starts)
-    found = camera_motion.likeliest(right, others, len(pair))
-    assert turn_between(found.R_cur_from_prev, R) < 0.005
-    assert angle_between(found.t_cur_from_prev, t) < 0.15
-
-
-def test_a_motion_that_explains_much_more_replaces_the_predicted_one():
-    def fit(cost):
-        return camera_motion.MotionFit(np.eye(3), np.zeros(3), np.eye(6), cost)
-
-    n = 1000
-    slight, clear = camera_motion.AMBIGUITY / n * 0.9, camera_motion.AMBIGUITY / n * 1.1
-    predicted = fit(0.5)
-    assert camera_motion.likeliest(predicted, [fit(0.5 - slight)], n) is predicted
-    assert camera_motion.likeliest(predicted, [fit(0.5 - clear)], n).cost == 0.5 - clear
-    assert camera_motion.likeliest(None, [fit(0.9), fit(0.8)], n).cost == 0.8
-
-
 def test_a_turn_is_found_with_its_error_and_without_the_wrong_vectors(rng):
     """Against vectors that a turn on the spot makes, noise, and a fifth that are wrong."""
     R = rotation.exp(np.array([0.01, 0.06, -0.02]))

@@ -56,6 +56,32 @@ def test_without_parallax_there_is_no_motion_of_a_plane(rng):
     assert twins.from_homography(floor(rng, noise=0.0, baseline=0.0)) == []
 
 
+def test_a_motion_that_explains_much_more_replaces_the_predicted_one(rng):
+    pair = floor(rng)
+    right, *_ = fits(pair)
+    slight, clear = (replace(right, cost=right.cost - step * twins.AMBIGUITY / len(pair))
+                     for step in (0.9, 1.1))
+    assert twins.likeliest(pair, right, [slight]).cost == right.cost
+    assert twins.likeliest(pair, right, [clear]).cost == clear.cost
+    assert twins.likeliest(pair, None, [right, slight]).cost == slight.cost
+
+
+def test_blocks_behind_the_camera_are_not_explained(rng):
+    """Noise and wrong vectors may favour the twin by as much as they do here."""
+    pair = floor(rng)
+    right, *_, wrong = fits(pair)
+    favoured = replace(wrong, cost=right.cost - 2 * twins.AMBIGUITY / len(pair))
+    assert twins.likeliest(pair, right, [favoured]).cost == right.cost
+    assert twins.likeliest(pair, favoured, [right]).cost == right.cost
+
+
+def test_the_sign_of_a_direction_follows_from_what_is_before_the_camera(rng):
+    pair = floor(rng)
+    right, *_ = fits(pair)
+    turned = replace(right, t_cur_from_prev=-right.t_cur_from_prev)
+    assert twins.likeliest(pair, turned, []).t_cur_from_prev @ right.t_cur_from_prev > 0
+
+
 def test_a_motion_that_explains_far_less_is_no_twin(rng, monkeypatch):
     pair = floor(rng)
     right, *_, wrong = fits(pair)
