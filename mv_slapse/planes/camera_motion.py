@@ -7,6 +7,10 @@ from mv_slapse.geometry import epipolar, rotation, two_view
 import numpy as np
 
 MIN_CORRESPONDENCES = 12  # 5 unknowns need 5; below about twice that no inlier can be told
+# Of the kernel [sigma] in each step: a wide one finds the support from a poor start, the last one
+# settles. Steps become short where most vectors are wrong: up to 30 were needed.
+WIDTHS = (8.0, 4.0) + 38 * (2.0,)
+SETTLED = 0.3  # fall of the sum of robust costs, of one for each block, that ends it
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ def from_essential_matrix(rays_cur, rays_prev, threshold, confidence=0.999):
     return [(R, t[:, 0]), (R, -t[:, 0])]
 
 
-def refine(rays_cur, rays_prev, sigma, focal, R, t, steps=10) -> MotionFit:
+def refine(rays_cur, rays_prev, sigma, focal, R, t) -> MotionFit:
     """Minimise the Sampson error over rotation and direction, (5) of [MVO].
 
     Levenberg-Marquardt over five unknowns with the analytic Jacobian and a Geman-McClure kernel
@@ -71,14 +75,16 @@ def refine(rays_cur, rays_prev, sigma, focal, R, t, steps=10) -> MotionFit:
         Start; t is a unit vector.
     """
     damping = 1e-6
-    for width in np.maximum(8.0 * 0.5 ** np.arange(steps), 2.0):
+    for width in WIDTHS:
         error, J, basis = _error(rays_cur, rays_prev, focal, R, t)
         weight = robust_weight(error, width * sigma) / sigma**2
         A = J.T @ (weight[:, None] * J)
         b = -J.T @ (weight * error)
-        cost = robust_cost(error, width * sigma)
+        before = robust_cost(error, width * sigma)
         R, t, cost, damping = _damped_step(rays_cur, rays_prev, focal, R, t, basis, A, b,
-                                           width * sigma, cost, damping)
+                                           width * sigma, before, damping)
+        if width == WIDTHS[-1] and (before - cost) * len(error) < SETTLED:
+            break
     error, J, basis = _error(rays_cur, rays_prev, focal, R, t)
     weight = robust_weight(error, 2 * sigma)
     scale = max(1.0, float(np.sum(weight * np.square(error / sigma)) / max(weight.sum() - 5, 1)))

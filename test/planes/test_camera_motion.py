@@ -95,6 +95,20 @@ def test_errors_have_the_size_that_the_covariance_says(true_motion):
     assert 3.0 < np.mean(distances) < 8.0
 
 
+def test_a_poor_start_reaches_the_motion_that_a_good_one_does(rng):
+    """Half of the vectors are wrong, and the direction starts 4 degrees off."""
+    R, t = motion('sideways')
+    scene = views(R, t, rng, sigma=0.3)
+    rays = scene.pair.rays_prev.copy()
+    wrong = rng.uniform(size=len(rays)) < 0.5
+    rays[wrong, :2] += rng.uniform(-0.02, 0.02, (wrong.sum(), 2))
+    poor = rotation.exp(np.array([0.0, 0.05, 0.05])) @ t
+    good, found = (camera_motion.refine(scene.pair.rays_cur, rays, scene.pair.sigma,
+                                        scene.pair.focal, R, start) for start in (t, poor))
+    assert found.cost == pytest.approx(good.cost, abs=1 / len(rays))
+    assert angle_between(found.t_cur_from_prev, good.t_cur_from_prev) < 0.01
+
+
 def test_a_standing_camera_gives_finite_numbers(rng):
     scene = views(np.eye(3), np.zeros(3), rng, sigma=0.1)
     fit = refined(scene, np.eye(3), np.array([0, 0, -1.0]))
