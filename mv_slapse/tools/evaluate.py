@@ -29,6 +29,7 @@ COLUMNS = {
     'standstill [m]': ('standstill_drift_m', '{:.3f}'),
     'planes': ('n_planes', '{:d}'), 'depth [m]': ('plane_depth_error_m', '{:.2f}'),
     'normal [deg]': ('plane_normal_error_deg', '{:.1f}'),
+    'on one [%]': ('plane_observations_on_one_plane_percent', '{:.0f}'),
     'called moving': ('movers_found', '{:d}'), 'of': ('movers_total', '{:d}'),
     'CPU [ms]': ('cpu_ms', '{:.1f}')}
 OBSTACLE_COLUMNS = {
@@ -84,7 +85,9 @@ def page(measured: dict[str, dict[str, Any]], commit: str) -> str:
         'ATE: mean position error after similarity alignment, rigid: after rigid alignment, in '
         'per cent of the way; covered: positions within 3 sigma of the true ones; NEES: of '
         'poses, 6 if the covariances are right, where the truth is exact; standstill: farthest '
-        'from where it stopped; CPU: of all stages, for each frame of the video.\n\n'
+        'from where it stopped; planes: true ones that were found; on one: observations of planes '
+        'four fifths of whose macroblocks lie on one true plane; CPU: of all stages, for each '
+        'frame of the video.\n\n'
         f'{_table(measured, COLUMNS)}\n'
         '## Moving obstacles\n\n'
         'In time: passages of movers of at least 6 macroblocks met by a confirmed obstacle '
