@@ -7,12 +7,13 @@ made, and the mean of 100 drives lies between 5.34 and 6.70 with 95 % probabilit
 """
 
 import argparse
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 import json
 
 from mv_slapse.config import ExtractionSettings, SceneSettings
 from mv_slapse.filters.scene import SceneFilter
 from mv_slapse.geometry import rotation
+from mv_slapse.geometry.camera import Camera
 from mv_slapse.planes.extractor import PlaneExtractor
 from mv_slapse.simulation.noise import NoisyVectors, VectorNoise
 from mv_slapse.simulation.street import Street, StreetSettings
@@ -62,7 +63,7 @@ def drive(seed: int, steps: int, movers: tuple[str, ...], height_known: bool):
     heave = SceneSettings().camera_height_sigma if height_known else 0.0
     noise = VectorNoise(heave=heave, heave_time=SceneSettings().camera_height_time)
     vectors = NoisyVectors(street, noise, rng)
-    extractor = PlaneExtractor(street.camera, ExtractionSettings())
+    extractor = PlaneExtractor(calibrated(street.camera, rng), ExtractionSettings())
     height = street.settings.camera_height * (1 + rng.normal(0, height_error()))
     scene = SceneFilter(SceneSettings(camera_height=height if height_known else 0.0))
     # With free scale the first baseline is the unit.
@@ -76,6 +77,13 @@ def drive(seed: int, steps: int, movers: tuple[str, ...], height_known: bool):
         nees.append(error @ np.linalg.solve(estimate.pose_covariance, error))
         distances += scene.distances.values()
     return nees, distances
+
+
+def calibrated(camera: Camera, rng: np.random.Generator) -> Camera:
+    """Return a camera as a calibration shows it: with a focal length as unsure as supposed."""
+    K = camera.K.copy()
+    K[[0, 1], [0, 1]] *= 1 + rng.normal(0, SceneSettings().focal_sigma)
+    return replace(camera, K=K)
 
 
 def height_error() -> float:
