@@ -206,9 +206,7 @@ class PlaneExtractor:
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
         free = free & _with_depth(evidence)
         found = []
-        floor = None
-        if self._memory.ground.mount.rides:  # of a flight the floor is a plane as any other
-            floor = ground.find_ground(depths, free, prior, self._rules, rng, road)
+        floor = ground.find_ground(depths, free, prior, self._rules, rng, road)
         if floor is not None:
             found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
