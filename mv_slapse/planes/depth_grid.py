@@ -8,7 +8,7 @@ it to half of that.
 from dataclasses import dataclass, replace
 
 from mv_slapse.geometry import two_view
-from mv_slapse.geometry.blocks import MACROBLOCK, macroblock_of
+from mv_slapse.geometry.blocks import grid_index, grid_shape, MACROBLOCK
 from mv_slapse.planes.consensus import Depths
 import numpy as np
 
@@ -85,12 +85,12 @@ def joined(depths: Depths, rho: np.ndarray, information: np.ndarray) -> Depths:
 
 def noted(width: int, height: int, depths: Depths) -> DepthGrid:
     """Note the depths of a picture [px] for the next pair; those of a macroblock are averaged."""
-    shape = -(-height // MACROBLOCK), -(-width // MACROBLOCK)
-    column, row = macroblock_of(depths.x).T
-    inside = (column >= 0) & (row >= 0) & (column < shape[1]) & (row < shape[0])
-    cell = (row * shape[1] + column)[inside]
+    columns, rows = grid_shape(width, height)
+    cell = grid_index(depths.x, width, height)
+    cell, inside = cell[cell >= 0], cell >= 0
     each = 1 / np.square(depths.sigma[inside])
-    count, total = (np.bincount(cell, weight, shape[0] * shape[1]) for weight in (None, each))
+    count, total = (np.bincount(cell, weight, rows * columns) for weight in (None, each))
     rho = np.bincount(cell, each * depths.rho[inside], len(total)) / np.maximum(total, 1e-18)
     # What one macroblock's vectors tell is hardly more than what one of them does.
-    return DepthGrid(rho.reshape(shape), (total / np.maximum(count, 1)).reshape(shape))
+    information = total / np.maximum(count, 1)
+    return DepthGrid(rho.reshape(rows, columns), information.reshape(rows, columns))

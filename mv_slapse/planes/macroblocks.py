@@ -1,6 +1,6 @@
 """Labels of the 16x16 macroblocks of a picture, from those of the blocks that have vectors."""
 
-from mv_slapse.geometry.blocks import grid_shape, macroblock_of
+from mv_slapse.geometry.blocks import grid_index, grid_shape
 from mv_slapse.records import Extraction, Label
 import numpy as np
 
@@ -20,10 +20,9 @@ def vote(extraction: Extraction, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         Where its blocks are in the picture [px]: an extraction's own pixels are undistorted.
     """
     columns, rows = grid_shape(extraction.width, extraction.height)
-    column, row = macroblock_of(x).T
-    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    known = inside & (extraction.label != Label.UNKNOWN)
-    cell, label = (row * columns + column)[known], extraction.label[known].astype(int)
+    cell = grid_index(x, extraction.width, extraction.height)
+    known = (cell >= 0) & (extraction.label != Label.UNKNOWN)
+    cell, label = cell[known], extraction.label[known].astype(int)
     plane = extraction.plane_id[known]
     area = extraction.block[known].astype(float).prod(axis=1)
     votes = np.zeros((rows * columns, N_LABELS))

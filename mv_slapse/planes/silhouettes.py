@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
-from mv_slapse.geometry.blocks import grid_centres, grid_shape, macroblock_of
+from mv_slapse.geometry.blocks import grid_centres, grid_index, grid_shape
 from mv_slapse.planes.macroblocks import vote
 from mv_slapse.records import Correspondences, Extraction, Label
 import numpy as np
@@ -98,9 +98,8 @@ class Silhouettes:
         before = self._known.get(id_)
         if before is None or len(before.seen) != len(seen):
             return seen
-        column, row = macroblock_of(motion.back(grid_centres(*size))).T
-        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        seen[inside] = before.seen[row[inside] * columns + column[inside]]
+        origin = grid_index(motion.back(grid_centres(*size)), *size)
+        seen[origin >= 0] = before.seen[origin[origin >= 0]]
         seen[(seen > stamp) | (stamp - seen >= LIFETIME)] = NEVER
         return seen
 
