@@ -211,7 +211,7 @@ class PlaneExtractor:
             found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
         known = self._known(blank, fit, ratio)
-        depths = self._carried(blank, pair, replace(depths, sigma=evidence.blur), fit, ratio)
+        depths = self._carried(pair, replace(depths, sigma=evidence.blur), fit, ratio)
         walls, known = extraction.stationary_planes(
             depths, free, known, prior.normal if floor is None else _unit(floor.plane),
             self._rules, self._rules.max_planes - len(found), self._memory.next_id)
@@ -221,11 +221,10 @@ class PlaneExtractor:
             grid=depth_grid.noted(blank.width, blank.height, depths[free]))
         return found + walls
 
-    def _carried(self, blank, pair, depths: Depths, fit: MotionFit, ratio) -> Depths:
+    def _carried(self, pair, depths: Depths, fit: MotionFit, ratio) -> Depths:
         """Join the depths of a pair with those that the pairs before have left."""
         grid = self._memory.grid
-        if (grid is None or self._memory.stamp != blank.previous_stamp
-                or not np.isfinite(ratio.sigma)):
+        if grid is None or not np.isfinite(ratio.sigma):
             return depths
         return depth_grid.joined(depths, *grid.predicted(
             pair, fit.R_cur_from_prev, fit.t_cur_from_prev, float(np.exp(ratio.log))))

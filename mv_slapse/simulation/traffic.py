@@ -5,8 +5,6 @@ faster, same_speed and bus_ahead (own lane), take one each where they should not
 another.
 """
 
-from dataclasses import replace
-
 from mv_slapse.simulation import textures
 from mv_slapse.simulation.paths import Path, SpeedProfile, steady
 from mv_slapse.simulation.surfaces import FIRST_MOVER
@@ -16,6 +14,7 @@ import numpy as np
 KINDS = ('slower', 'faster', 'same_speed', 'oncoming', 'crossing', 'starting', 'stopping',
          'bus_ahead', 'bus_beside')
 BUS = (2.6, 3.4, 9.0)  # width, height, length [m]
+SIZES = {'bus_ahead': BUS, 'bus_beside': BUS}
 OWN_LANE, RIGHT_LANE, LEFT_LANE, PARKING = 0.0, 3.4, -3.6, 6.4   # lateral [m]
 CROSSING_AT = 50.0   # arc length of the street that crosses [m]
 
@@ -56,8 +55,8 @@ def _mover(id_: int, kind: str, path: Path, speed: float, far: float,
         place = path.at(CROSSING_AT)
         x, z = place.position
         path = Path(origin=(float(x), float(z)), heading=place.heading + np.pi / 2)
-    car = Car(id_, kind, path, lateral, start, profile, _paint(), shade=rng.uniform(0.6, 1.2))
-    return replace(car, size=BUS) if kind.startswith('bus') else car
+    return Car(id_, kind, path, lateral, start, profile, _paint(), SIZES.get(kind, Car.size),
+               shade=rng.uniform(0.6, 1.2))
 
 
 def park(n: int, path: Path, rng: np.random.Generator) -> tuple[Car, ...]:
