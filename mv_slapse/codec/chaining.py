@@ -20,6 +20,8 @@ SAMPLE = 400  # correspondences that are enough to measure the parallax
 FARTHER = 0.7
 ROUNDS = 4  # of reweighting
 NANOSECONDS = 1e9
+AROUND = np.array([[row, column] for row in (-1, 0, 1) for column in (-1, 0, 1)])
+ABSENT = np.float32(1e6)  # px, place and vector where there is none
 STEADY = 0.3  # share of a vector by which the one before may differ: what comes near speeds up
 
 
@@ -101,22 +103,32 @@ def chain(newer: Correspondences, older: Correspondences,
 def _sample(pair: Correspondences, x: np.ndarray, settings: DecoderSettings):
     """Return motion, variance and presence of a pair's vectors at arbitrary pixels (N, 2)."""
     table = _table(pair)
-    near = np.floor((x + np.float32(0.5)) / MACROBLOCK - np.float32(0.5)).astype(np.int32) + 1
-    near = np.clip(near, 0, (table.shape[1] - 2, table.shape[0] - 2))
-    rows = np.stack([table[near[:, 1] + i, near[:, 0] + j] for i in (0, 1) for j in (0, 1)], 1)
-    vector = np.r_[pair.x_prev - pair.x_cur, np.zeros((1, 2), np.float32)][rows]
-    away = np.abs(np.r_[pair.x_cur, np.full((1, 2), 1e6, np.float32)][rows] - x[:, None])
-    weight = np.maximum(1 - away / MACROBLOCK, 0).prod(axis=2)
-    lead = vector[np.arange(len(x)), weight.argmax(axis=1)]
-    gap = np.hypot(*np.moveaxis(vector - lead[:, None], 2, 0))
-    limit = settings.agreement_slack + settings.agreement_tolerance * np.hypot(*lead.T)
-    weight = weight * (gap < limit[:, None])
+    column, row = np.clip(macroblock_of(x) + 1, 1, np.subtract(table.shape[::-1], 2)).T
+    near = table[row[:, None] + AROUND[:, 0], column[:, None] + AROUND[:, 1]]
+    vector, place = (np.r_[part, np.full((1, 2), ABSENT)][near]
+                     for part in (pair.x_prev - pair.x_cur, pair.x_cur))
+    weight = np.maximum(1 - np.abs(place - x[:, None]) / MACROBLOCK, 0).prod(axis=2)
+    weight *= _of_one_surface(vector, weight.argmax(axis=1), settings)
     whole = weight.sum(axis=1)
     known = whole > 0.25
     weight /= np.maximum(whole, 1e-6)[:, None]
-    sigma = np.r_[pair.sigma, np.float32(0)][rows]
+    sigma = np.r_[pair.sigma, np.float32(0)][near]
     variance = (weight * sigma ** 2).sum(axis=1)
     return (weight[:, None] @ vector)[:, 0], variance, known
+
+
+def _of_one_surface(vector: np.ndarray, lead: np.ndarray, settings: DecoderSettings) -> np.ndarray:
+    """Return which vectors (N, 9, 2) around go on from the leading one (N,): (N, 9) bool.
+
+    Those that are much like it, and two on opposite sides of the middle one that agree with it
+    in the mean: on a road vectors grow from row to row by more than vectors may differ. Without
+    the rows beside, all of a row would be continued from the same side.
+    """
+    middle, leading = vector[:, [4]], vector[np.arange(len(lead)), lead][:, None]
+    limit = (settings.agreement_slack
+             + settings.agreement_tolerance * np.hypot(*np.moveaxis(leading, 2, 0)))
+    gaps = vector - leading, 0.5 * (vector + vector[:, ::-1]) - middle
+    return np.minimum(*(np.hypot(*np.moveaxis(gap, 2, 0)) for gap in gaps)) < limit
 
 
 def _table(pair: Correspondences) -> np.ndarray:

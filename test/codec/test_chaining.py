@@ -48,6 +48,18 @@ def test_a_chain_spans_both_times_and_adds_the_variances():
     np.testing.assert_allclose(joined.probability, 0.36, rtol=1e-5)
 
 
+def test_a_chain_goes_on_along_a_road_though_its_rows_differ_by_more_than_vectors_may():
+    def road(x):
+        return np.c_[np.zeros(len(x)), -x[:, 1] ** 2 / 1500]
+
+    joined = chain(pair(2, road(GRID)), pair(1, road(GRID)), SETTINGS)
+    between = joined.x_cur + road(joined.x_cur)
+    near = joined.x_cur[:, 1] > 150
+    rows = np.diff(np.unique(road(GRID)[:, 1])).max()
+    assert rows > SETTINGS.agreement_slack + SETTINGS.agreement_tolerance * 36
+    np.testing.assert_allclose(joined.x_prev[near], (between + road(between))[near], atol=0.06)
+
+
 def test_a_chain_follows_the_block_it_leads_to():
     older = np.where(GRID[:, :1] < 160, (-2.0, 0.0), (5.0, 0.0))
     joined = chain(pair(2, (32, 0)), pair(1, older), SETTINGS)
