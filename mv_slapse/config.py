@@ -188,6 +188,15 @@ class SceneSettings(Checked):
     focal_sigma: float = setting(
         0.01, '-', 'standard deviation of the focal length, as a share: what calibration, focus '
         'and temperature leave', 0.0, 0.5)
+    speed_sigma: float = setting(
+        0.02, '-', 'standard deviation of the way of one pair by a speed that is given, as a '
+        'share: slip, and stamps that are some ms off', 1e-4, 1.0)
+    speed_bias: float = setting(
+        0.01, '-', 'standard deviation of what of a given speed is wrong for good, as a share: '
+        'the size of the wheels', 0.0, 1.0)
+    speed_arm: float = setting(
+        0.5, 'm', 'standard deviation of the camera\'s place to the side of where the speed is '
+        'taken, which goes farther or less far in turns', 0.0)
     ratio_sigma: float = setting(
         0.006, '-', 'common error of the depths of one pair, as a share: 0.5 % was measured',
         1e-4, 1.0)

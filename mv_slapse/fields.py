@@ -28,6 +28,7 @@ from mv_slapse.records import (
     ScaleStatus,
     SceneEstimate,
     SegmentKind,
+    Speed,
     TrackingStatus,
 )
 import numpy as np
@@ -131,6 +132,13 @@ def odometry_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:
     return {'header': header(scene.stamp, frames.odom), 'child_frame_id': frames.base,
             'pose': _pose_with_covariance(scene, frames),
             'twist': _twist_with_covariance(scene, frames)}
+
+
+def speed_from_message(msg: Any) -> Speed:
+    """Return the speed of a nav_msgs/Odometry of wheels: over ground, negative backwards."""
+    linear = msg.twist.twist.linear
+    return Speed(stamp_from_message(msg.header.stamp),
+                 float(np.copysign(np.hypot(linear.x, linear.y), linear.x)))
 
 
 def pose_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:

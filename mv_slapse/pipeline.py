@@ -1,5 +1,6 @@
 """The whole without ROS: figure 1 of [MVO] as one method, Slapse.step."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mv_slapse.config import Settings
@@ -13,6 +14,7 @@ from mv_slapse.records import (
     Obstacle,
     PlaneHandover,
     SceneEstimate,
+    Speed,
 )
 
 
@@ -37,14 +39,15 @@ class Slapse:
         self._tracker = ObstacleTracker(settings.obstacles)
         self._to_scene: list[PlaneHandover] = []
 
-    def step(self, correspondences: Correspondences) -> Step:
+    def step(self, correspondences: Correspondences, speeds: Sequence[Speed] = ()) -> Step:
         """Take in the correspondences of one key frame pair, in the order of stamps.
 
+        ``speeds`` of the vehicle that were told since the pair before make the scale metric.
         Planes that change their label reach the other filter within this step, or, on their
         way to the scene filter, at the next.
         """
         extraction = self._extractor.extract(correspondences)
-        scene, to_tracker = self._scene.step(extraction, self._to_scene)
+        scene, to_tracker = self._scene.step(extraction, self._to_scene, speeds)
         obstacles, self._to_scene = self._tracker.step(extraction, scene, to_tracker)
         return Step(correspondences, extraction, scene, tuple(obstacles),
                     (*to_tracker, *self._to_scene))

@@ -364,6 +364,14 @@ class Obstacle:
 
 
 @dataclass(frozen=True)
+class Speed:
+    """Speed [m/s] of the vehicle at a stamp, by its wheels or whatever; negative backwards."""
+
+    stamp: int
+    value: float
+
+
+@dataclass(frozen=True)
 class PlaneHandover:
     """A plane that changes its label and so its filter, plane management of [MVO] 5.
 

@@ -13,19 +13,23 @@ from mv_slapse.filters import (
     scene_observations,
     scene_record,
     scene_rest,
+    scene_speed,
     scene_state,
     scene_update,
 )
 from mv_slapse.filters.scene_noise import Agreement, Dependence, HeightWander
 from mv_slapse.filters.scene_observations import Observe
 from mv_slapse.filters.scene_progress import Progress
-from mv_slapse.filters.scene_state import AnchoredPlane, Pose, SceneState
+from mv_slapse.filters.scene_speed import Way
+from mv_slapse.filters.scene_state import Pose, SceneState
+from mv_slapse.filters.speed_log import SpeedLog
 from mv_slapse.geometry import rotation, two_view
 from mv_slapse.records import (
     Extraction,
     Label,
     MotionStatus,
     PlaneHandover,
+    Speed,
     TrackingStatus,
 )
 import numpy as np
@@ -41,8 +45,7 @@ SCALELESS = ('no known plane is in view: the direction of the way is observed, i
              'predicted')
 CONTRADICTED = 'all known planes in view contradict the map'
 FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
-PAIR_HEIGHT = 1e-3  # share of the height by which a pair errs besides: crown and ruts
-FIRST_HEIGHT_SIGMA = 0.1  # of the ground's depth in the one pair that makes the scale metric
+FIRST_METRIC_SIGMA = 0.1  # of the ground's depth, or the way, in the pair that tells metres
 
 
 class SceneFilter:
@@ -65,8 +68,10 @@ class SceneFilter:
         self.distances: dict[int, float] = {}
         self._height, self._agreement = HeightWander(), Agreement()
         self._dependence = Dependence(settings.dependence)
+        self._speeds = SpeedLog()
 
-    def step(self, extraction: Extraction, handovers: Sequence[PlaneHandover] = ()):
+    def step(self, extraction: Extraction, handovers: Sequence[PlaneHandover] = (),
+             speeds: Sequence[Speed] = ()):
         """Take in one key frame pair.
 
         Parameters
@@ -75,6 +80,8 @@ class SceneFilter:
             In the order of stamps.
         handovers : sequence of PlaneHandover
             Planes that have come to rest, from the obstacle tracker.
+        speeds : sequence of Speed
+            Told since the step before, if any: these make the scale metric.
 
         Returns
         -------
@@ -83,13 +90,14 @@ class SceneFilter:
         handovers : list of PlaneHandover
             Planes of the map that have started to move.
         """
+        self._speeds.feed(speeds)
         if self._state is None:
             self._begin(extraction)
         self._map.accept(self._state, handovers)
         leaving = self._map.release(self._state, extraction)
         status, reason = self._advance(extraction)
         return scene_record.estimate(self._state, self._map.planes(self._state), extraction.stamp,
-                                     status, reason, self._progress.metric), leaving
+                                     status, reason, self._progress.source), leaving
 
     def _begin(self, extraction: Extraction):
         """Put {W} at the first key frame."""
@@ -111,7 +119,7 @@ class SceneFilter:
         if self._progress.supported is None and status != MotionStatus.MOVING:
             return TrackingStatus.INITIALISING, reason
         if status == MotionStatus.UNKNOWN:
-            self._coast(dt)
+            self._coast(dt, extraction.previous_stamp)
             return self._unsupported(extraction.stamp, reason)
         self._predict(dt)
         return self._correct(extraction, follows)
@@ -136,7 +144,8 @@ class SceneFilter:
         if gap <= 0:
             return True
         if self._progress.supported is not None:
-            self._coast(gap)
+            start, self._progress.stamp = self._progress.stamp, extraction.previous_stamp
+            self._coast(gap, start)
         self._progress.stamp = extraction.previous_stamp
         return False
 
@@ -209,14 +218,22 @@ class SceneFilter:
             metres = speed * dt * (1.0 if self._progress.metric else 1.5 / height)
             scene_state.bend(state, ground, settings.ground_slope * np.sqrt(metres))
 
-    def _coast(self, dt: float):
-        """Move on without a view; a camera that is mounted on a vehicle stays upright."""
+    def _coast(self, dt: float, start: int):
+        """Move on from a stamp without a view: a mounted camera stays upright, a speed counts."""
         self._predict(dt)
         self._progress.carried = False
-        ground = self._map.ground
-        if ground in self._state.planes and self._state.velocity.any():
-            self._state = scene_update.observe(self._state, self._rigid(ground),
+        ground, turn = self._map.ground, float(np.linalg.norm(self._state.omega)) * dt
+        way = self._way(start, turn) if self._progress.metric else None
+        observations = self._rigid(ground) if ground in self._state.planes else []
+        observations += [scene_speed.observed(way, self._settings)] if way else []
+        if observations and self._state.velocity.any():
+            self._state = scene_update.observe(self._state, observations,
                                                self._settings.iterations)
+
+    def _way(self, start: int, turn: float) -> Way | None:
+        """Return the way [m] since a stamp by the speeds given, if they tell one that can be."""
+        return scene_speed.way(self._speeds, self._state, self._progress, start, turn,
+                               self._settings)
 
     def _sway(self, dt: float):
         """Let the camera's height above the road swing for dt [s]."""
@@ -234,7 +251,9 @@ class SceneFilter:
     def _correct(self, extraction: Extraction, follows: bool):
         """Update with the pair's correspondences and with what is known of the scale."""
         first = not self._progress.started or self._progress.anew
-        self._progress.anew, baseline = False, self._baseline(extraction)
+        turn = float(np.linalg.norm(rotation.log(extraction.motion.R_cur_from_prev)))
+        way = self._way(extraction.previous_stamp, turn)
+        self._progress.anew, baseline = False, self._baseline(extraction, way)
         pair, plane_id = scene_input.stationary(extraction)
         settings = self._measured(pair, extraction)
         shown = self._shown(extraction, baseline)
@@ -242,7 +261,7 @@ class SceneFilter:
         known = self._known(scene_gate.distances(expected, extraction, settings))
         trusted = self._trusted(extraction, known)
         ground = scene_gate.ground_of(extraction, trusted)
-        ids = self._join(extraction, known, trusted, baseline, shown)
+        ids = self._map.join(self._state, extraction, known, trusted, baseline, shown)
         index = np.full(len(pair), -1)
         for i, id in enumerate(ids):
             index[plane_id == id] = i
@@ -251,7 +270,7 @@ class SceneFilter:
             # Braking hard, a step from the length predicted would go beyond zero, and backwards.
             shown = self._shown(extraction, float(np.exp(self._state.depth_scale)))
         start = self._state.error_to(replace(self._state, current=shown))
-        observations = [*self._rigid(ground), *self._gauge(baseline, first), *ratio]
+        observations = [*self._rigid(ground), *self._gauge(baseline, first, way), *ratio]
         self._state = scene_update.update(
             self._state, start, pair, index, ids, settings, observations)
         if not ratio:
@@ -262,7 +281,7 @@ class SceneFilter:
         self._height = self._height.seen(self._state, extraction, settings)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
-        if first or known or ratio and not self.distances:
+        if first or known or (ratio or way) and not self.distances:
             self._progress.supported = extraction.stamp
             self._progress.rested, self._progress.started = False, True
             return TrackingStatus.OK, ''
@@ -290,11 +309,15 @@ class SceneFilter:
             del misses[id]
         return trusted
 
-    def _baseline(self, extraction: Extraction) -> float:
+    def _baseline(self, extraction: Extraction, way: Way | None) -> float:
         """Return the best guess of the distance between the pair's key frames [map unit]."""
         settings, progress = self._settings, self._progress
         guess = np.linalg.norm(self._state.current.t - self._state.previous.t)
         ground = scene_gate.ground_plane(extraction)
+        if way:
+            if not progress.metric:
+                self._make_metric(way.length / max(guess, 1e-9), scene_speed.SOURCE)
+            return way.length
         if progress.rested:
             height = progress.metric * settings.camera_height
             slow = SLOW * progress.fastest * (extraction.stamp - extraction.previous_stamp) * 1e-9
@@ -302,13 +325,7 @@ class SceneFilter:
         if not progress.metric and settings.camera_height and ground is not None:
             # The camera's height is the ground's depth: 1 / |n/d| in units of the baseline.
             metric = settings.camera_height * float(np.linalg.norm(ground))
-            if progress.started:
-                scene_state.scale_lengths(self._state, metric / max(guess, 1e-9))
-                self._progress.fastest *= metric / max(guess, 1e-9)
-                self._map.scale(metric / max(guess, 1e-9))
-                scene_state.widen_scale(self._state, FIRST_HEIGHT_SIGMA)
-            scene_gauge.doubt_scale(self._state, 0.0)
-            progress.metric = True
+            self._make_metric(metric / max(guess, 1e-9), 'camera height')
             return metric
         if progress.started and guess > 1e-9:
             return guess
@@ -316,25 +333,15 @@ class SceneFilter:
         scene_gauge.doubt_scale(self._state, scene_rest.SUPPOSED_SIGMA if supposed else 0.0)
         return supposed or 1.0
 
-    def _join(self, extraction: Extraction, known: set[int], trusted: set[int],
-              baseline: float, shown: Pose) -> list[int]:
-        """Return the planes to update, after putting new and lost ones in afresh.
-
-        A plane comes in with next to no prior; its correspondences then determine it, together
-        with everything they are correlated with.
-        """
-        state, ids = self._state, []
-        for plane in extraction.planes:
-            if plane.id not in trusted:
-                continue
-            if plane.id not in known:
-                if plane.id in state.planes:
-                    state.remove_plane(plane.id)
-                world = shown.R @ plane.plane / baseline
-                state.add_plane(plane.id, AnchoredPlane(world, shown.t.copy()),
-                                np.eye(3) * (3 * np.linalg.norm(world)) ** 2)
-            ids.append(plane.id)
-        return ids
+    def _make_metric(self, factor: float, source: str):
+        """Make lengths metres by a factor, which compares one pair with its prediction."""
+        if self._progress.started:
+            scene_state.scale_lengths(self._state, factor)
+            self._progress.fastest *= factor
+            self._map.scale(factor)
+            scene_state.widen_scale(self._state, FIRST_METRIC_SIGMA)
+        scene_gauge.doubt_scale(self._state, 0.0)
+        self._progress.source = source
 
     def _shown(self, extraction: Extraction, baseline: float) -> Pose:
         """Return the pose that the pair shows, about which to linearise first."""
@@ -363,12 +370,16 @@ class SceneFilter:
         scene_state.move_depth_scale(self._state, log, sigma)
         return [partial(scene_observations.baseline_ratio, sigma=settings.ratio_sigma)]
 
-    def _gauge(self, baseline: float, first: bool) -> list[Observe]:
+    def _gauge(self, baseline: float, first: bool, way: Way | None) -> list[Observe]:
         """Return the length of the first baseline, which is the unit, or the guess after a rest.
+
+        Or of any by its speed.
 
         Predicted from rest a baseline is zero, about which its direction would mean nothing.
         """
         progress = self._progress
+        if way:
+            return [scene_speed.observed(way, self._settings)]
         if not (first or progress.rested):
             return []
         sigma = REST_SIGMA if progress.rested or progress.metric else 1e-3
@@ -378,13 +389,7 @@ class SceneFilter:
         """Return what is known of a mounted camera."""
         settings = self._settings
         if settings.camera_height and ground is not None:
-            height = settings.camera_height
-            return [partial(scene_observations.camera_height, ground=ground, height=height,
-                            sigma=PAIR_HEIGHT * height,
-                            lasting=self._height.lasting(settings) * height),
-                    partial(scene_observations.mounting, ground=ground,
-                            sigma=settings.mounting_sigma),
-                    partial(scene_observations.level_course, sigma=settings.course_sigma)]
+            return scene_observations.mounted(ground, settings, self._height.lasting(settings))
         return []
 
     def _forget(self, stamp: int):

@@ -50,6 +50,16 @@ def holds_ratio(state: SceneState, log_ratio: float, sigma: float) -> bool:
     return bool((value - state.depth_scale - log_ratio)**2 < RATIO_GATE * variance < np.inf)
 
 
+def holds_length(state: SceneState, length: float, sigma: float) -> bool:
+    """Tell whether a length of the way [map unit] agrees with the predicted one.
+
+    ``sigma`` is its standard deviation as a share. Wheels that slip or stand contradict it.
+    """
+    value, H = log_baseline(state)
+    variance = H @ state.error.total @ H + sigma**2
+    return bool((value - np.log(length))**2 < RATIO_GATE * variance)
+
+
 def squared_distance(state: SceneState, plane: PlaneObservation,
                      settings: SceneSettings) -> float:
     """Squared Mahalanobis distance between a plane seen and the map's, in baseline units.

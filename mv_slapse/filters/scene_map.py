@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 from mv_slapse.filters import scene_gauge
-from mv_slapse.filters.scene_state import AnchoredPlane, SceneState
+from mv_slapse.filters.scene_state import AnchoredPlane, Pose, SceneState
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import to_rays
@@ -118,6 +118,33 @@ class SceneMap:
                 state.remove_plane(plane.id)
                 self.remove(plane.id)
         return leaving
+
+    def join(self, state: SceneState, extraction: Extraction, known: set[int], trusted: set[int],
+             baseline: float, shown: Pose) -> list[int]:
+        """Return the planes to update, after putting new and lost ones into the state afresh.
+
+        A plane comes in with next to no prior; its correspondences then determine it, together
+        with everything they are correlated with.
+
+        Parameters
+        ----------
+        known, trusted : sets of int
+            Planes seen that are where they were predicted, and those that may be used.
+        baseline, shown : float, Pose
+            Length [map unit] of the pair's way, and the pose at its end.
+        """
+        ids = []
+        for plane in extraction.planes:
+            if plane.id not in trusted:
+                continue
+            if plane.id not in known:
+                if plane.id in state.planes:
+                    state.remove_plane(plane.id)
+                world = shown.R @ plane.plane / baseline
+                state.add_plane(plane.id, AnchoredPlane(world, shown.t.copy()),
+                                np.eye(3) * (3 * np.linalg.norm(world)) ** 2)
+            ids.append(plane.id)
+        return ids
 
     def scale(self, factor: float):
         """Multiply all lengths by a factor."""

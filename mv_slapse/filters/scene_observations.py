@@ -4,8 +4,10 @@ Each function takes a state and returns an Observation of it, linearised there.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
+from mv_slapse.config import SceneSettings
 from mv_slapse.filters.scene_state import (
     HEIGHT,
     log_baseline,
@@ -15,8 +17,11 @@ from mv_slapse.filters.scene_state import (
     relative_motion,
     relative_motion_jacobian,
     SceneState,
+    SPEED,
 )
 import numpy as np
+
+PAIR_HEIGHT = 1e-3  # share of the height by which a pair errs besides: crown and ruts
 
 
 class Observation(NamedTuple):
@@ -32,6 +37,19 @@ class Observation(NamedTuple):
 
 
 Observe = Callable[[SceneState], Observation]
+
+
+def mounted(ground: int, settings: SceneSettings, lasting: float) -> list[Observe]:
+    """Return what is known of a camera that is mounted on a ground vehicle.
+
+    ``ground`` is the plane it drives on, ``lasting`` the share of its height that is wrong for
+    good.
+    """
+    height = settings.camera_height
+    return [partial(camera_height, ground=ground, height=height, sigma=PAIR_HEIGHT * height,
+                    lasting=lasting * height),
+            partial(mounting, ground=ground, sigma=settings.mounting_sigma),
+            partial(level_course, sigma=settings.course_sigma)]
 
 
 def camera_height(state: SceneState, ground: int, height: float, sigma: float,
@@ -76,13 +94,17 @@ def mounting(state: SceneState, ground: int, sigma: float) -> Observation:
     return Observation(state.mount - normal, H, np.eye(3) * sigma**2)
 
 
-def baseline(state: SceneState, length: float, sigma: float) -> Observation:
+def baseline(state: SceneState, length: float, sigma: float,
+             lasting: float = 0.0) -> Observation:
     """Observe the distance between the two poses [map unit] but for sigma, a share of it.
 
-    Where the scale is free the first one is the gauge: 1.
+    Where the scale is free the first one is the gauge: 1. ``lasting`` is the share by which a
+    speed that tells it is wrong for good.
     """
     value, H = log_baseline(state)
-    return Observation(np.array([np.log(length) - value]), H[None], np.eye(1) * sigma**2)
+    error = np.zeros((1, N_LASTING))
+    error[0, SPEED] = lasting
+    return Observation(np.array([np.log(length) - value]), H[None], np.eye(1) * sigma**2, error)
 
 
 def baseline_ratio(state: SceneState, sigma: float) -> Observation:

@@ -1,14 +1,14 @@
 """The state of the scene filter written down as a record: estimate."""
 
-from mv_slapse.filters import scene_gauge
+from mv_slapse.filters import scene_gauge, scene_progress
 from mv_slapse.filters.scene_state import SceneState
 from mv_slapse.records import MapPlane, ScaleStatus, SceneEstimate, TrackingStatus
 import numpy as np
 
 
 def estimate(state: SceneState, planes: tuple[MapPlane, ...], stamp: int, status: TrackingStatus,
-             reason: str, metric: bool) -> SceneEstimate:
-    """Return the record of a state and of its map; ``metric``: whether lengths are metres."""
+             reason: str, source: str) -> SceneEstimate:
+    """Return the record of a state and of its map; ``source``: of the scale, see Progress."""
     # The state has the rotation first, about the camera's axes; the record about those of {W}.
     turn = np.zeros((6, 6))
     turn[:3, 3:], turn[3:, :3] = np.eye(3), state.current.R
@@ -17,6 +17,6 @@ def estimate(state: SceneState, planes: tuple[MapPlane, ...], stamp: int, status
         stamp, status, reason, state.current.R.copy(), state.current.t.copy(), pose,
         state.velocity.copy(), state.omega.copy(),
         scene_gauge.covariance(state, 'velocity', 'omega'),
-        ScaleStatus.METRIC if metric else ScaleStatus.UNKNOWN,
-        'camera height' if metric else 'first translation', planes,
+        ScaleStatus.UNKNOWN if source == scene_progress.FREE else ScaleStatus.METRIC, source,
+        planes,
         float(np.linalg.norm(state.current.t - state.previous.t)))

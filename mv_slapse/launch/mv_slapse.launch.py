@@ -20,6 +20,8 @@ ARGUMENTS = (
     ('video_topic', '', f'topic of the video inside a bag; empty: {BAG_TOPIC}'),
     ('camera_info_topic', '', 'empty: camera_info beside the video, as image_transport has it'),
     ('camera_info_url', '', 'calibration file instead of a camera_info topic'),
+    ('wheel_odometry_topic', '', 'nav_msgs/Odometry of the wheels, whose speed makes the scale '
+     'metric'),
     ('params_file', '', 'parameters of the nodes, such as config/all_in_one.yaml'),
     ('namespace', '', 'of all nodes'),
     ('use_sim_time', '', 'take the time from /clock; empty: only when a bag is played'),
@@ -29,6 +31,7 @@ ARGUMENTS = (
 )
 NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker')
 WITH_CAMERA = ('decoder', 'plane_extraction', 'all_in_one')
+WITH_SPEED = ('slam', 'all_in_one')
 
 
 def generate_launch_description():
@@ -69,7 +72,7 @@ def node(name, kind, args):
 
 
 def remappings(name, kind, args):
-    """Return where video and calibration come from."""
+    """Return where video, calibration and speed come from."""
     topic = {'topic': args['input'], 'bag': args['video_topic'] or BAG_TOPIC}.get(kind, '')
     info = args['camera_info_topic'] or (camera_info_beside(topic) if topic else '')
     pairs = []
@@ -77,6 +80,8 @@ def remappings(name, kind, args):
         pairs.append(('video', topic))
     if name in WITH_CAMERA and info:
         pairs.append(('camera_info', info))
+    if name in WITH_SPEED and args['wheel_odometry_topic']:
+        pairs.append(('wheel_odometry', args['wheel_odometry_topic']))
     return pairs
 
 

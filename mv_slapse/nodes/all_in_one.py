@@ -20,6 +20,7 @@ from mv_slapse.nodes.obstacle_output import ObstacleOutput
 from mv_slapse.nodes.qos import RELIABLE
 from mv_slapse.nodes.scene_output import SceneOutput
 from mv_slapse.nodes.shell import run, Shell
+from mv_slapse.nodes.speeds import Speeds
 from mv_slapse.pipeline import Slapse, Step
 from mv_slapse.records import Correspondences
 from mv_slapse_msgs.msg import Correspondences as CorrespondencesMsg
@@ -42,7 +43,7 @@ class AllInOneNode(Shell):
         self._observations = self.create_publisher(PlaneObservations, 'planes/observations',
                                                    RELIABLE)
         self._scene, self._obstacles = SceneOutput(self), ObstacleOutput(self)
-        self._handovers = Handovers(self, None)
+        self._handovers, self._speeds = Handovers(self, None), Speeds(self)
         self._gate = Gate(self._is_ready, self._step, HELD)
         every(self, 0.1, lambda: self.attempt('video', self._gate.drain))
         self._decoding = Decoding(self, self._gate, self._on_camera)
@@ -51,7 +52,7 @@ class AllInOneNode(Shell):
         """Begin a new trajectory and a new map."""
         self._decoding.restart()
         self._gate.clear()
-        for part in (self._scene, self._archive):
+        for part in (self._scene, self._archive, self._speeds):
             part.restart()
         if self._camera is not None:
             self._on_camera(self._camera)
@@ -75,7 +76,8 @@ class AllInOneNode(Shell):
         return self._extrinsics.frames(frame) is not None
 
     def _step(self, record: Correspondences, frame: str):
-        step, frames = self._slapse.step(record), self._extrinsics.frames(frame)
+        step = self._slapse.step(record, self._speeds.told(record.stamp))
+        frames = self._extrinsics.frames(frame)
         self._archive.add(step.scene, record.previous_stamp)
         self._publish(step, frames)
 

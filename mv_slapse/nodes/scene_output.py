@@ -105,7 +105,7 @@ class SceneOutput:
             health.problem('tracking', _advice(scene), level)
         if scene.scale_status == ScaleStatus.UNKNOWN:
             health.warning('scale', 'the scale is not known, lengths have no unit: set '
-                           'scene.camera_height')
+                           'scene.camera_height, or publish the speed on wheel_odometry')
         else:
             health.solved('scale')
 

@@ -12,6 +12,7 @@ from mv_slapse.nodes.health import every
 from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.scene_output import SceneOutput
 from mv_slapse.nodes.shell import run, Shell
+from mv_slapse.nodes.speeds import Speeds
 from mv_slapse.records import Extraction, Label
 from mv_slapse_msgs.msg import PlaneObservations
 
@@ -28,6 +29,7 @@ class SlamNode(Shell):
         self._extrinsics = Extrinsics(self)
         self._output, self._archive = SceneOutput(self), Archive(self)
         self._handovers = Handovers(self, Label.STATIONARY)
+        self._speeds = Speeds(self)
         self._gate = Gate(self._is_ready, self._step, HELD)
         self.restart()
         every(self, 0.1, lambda: self.attempt(TOPIC, self._gate.drain))
@@ -37,7 +39,7 @@ class SlamNode(Shell):
     def restart(self):
         """Begin a new trajectory and a new map."""
         self._filter, self._newest = SceneFilter(self.settings[SceneSettings]), 0
-        for part in (self._output, self._archive, self._handovers):
+        for part in (self._output, self._archive, self._handovers, self._speeds):
             part.restart()
 
     def _is_ready(self, msg: PlaneObservations) -> bool:
@@ -56,7 +58,7 @@ class SlamNode(Shell):
     def _advance(self, extraction: Extraction, frames: RosFrames):
         self._newest = extraction.stamp
         due = self._handovers.due(extraction.stamp - 1, frames)
-        scene, given = self._filter.step(extraction, due)
+        scene, given = self._filter.step(extraction, due, self._speeds.told(extraction.stamp))
         self._archive.add(scene, extraction.previous_stamp)
         self._handovers.publish(given, frames)
         self._output.publish(scene, frames)

@@ -13,12 +13,14 @@ from mv_slapse import fields, video_messages
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
+from mv_slapse.records import Speed
 from mv_slapse.storage import messages
 from mv_slapse.video_messages import Picture
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+ODOMETRY = 'nav_msgs/msg/Odometry'
 SUFFIXES = ('.mcap', '.db3', '.bag')
 MAGIC = b'\x89MCAP0\r\n'
 
@@ -125,6 +127,21 @@ class BagReader:
         for _, msg in self.messages([best]):
             return fields.camera_from_message(msg, f'{self._path}, topic {best}')
         return None
+
+    def speeds(self, topic: str) -> list[Speed]:
+        """Return the speeds of a topic with the odometry of wheels.
+
+        Raises
+        ------
+        UsageError
+            Where there is no such topic, or one of another type; lists those there are.
+        """
+        name = topic if topic.startswith('/') else '/' + topic
+        if self.topics.get(name) != ODOMETRY:
+            found = sorted(name for name, kind in self.topics.items() if kind == ODOMETRY)
+            raise UsageError(f'{self._path} has no topic {name} of type {ODOMETRY}; topics of '
+                             f'that type here: {", ".join(found) or "none"}')
+        return [fields.speed_from_message(msg) for _, msg in self.messages([name])]
 
     def _is_video(self, name: str, kind: str) -> bool:
         return kind in video_messages.VIDEO_TYPES

@@ -1,15 +1,16 @@
 """Rows of ``planes.csv`` and ``obstacles.csv``, written and read."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 import csv
 from pathlib import Path
 
 from mv_slapse.errors import UnusableInput
-from mv_slapse.records import Obstacle, SceneEstimate
+from mv_slapse.records import Obstacle, SceneEstimate, Speed
 from mv_slapse.storage.tum import format_stamp, parse_stamp
 import numpy as np
 
 PLANES_HEADER = 'stamp,id,nx,ny,nz,d,n_macroblocks'
+SPEEDS_HEADER = 'stamp,speed'
 OBSTACLES_HEADER = ('stamp,id,state,x,y,width,height,px,py,pz,vx,vy,vz,ttc,n_macroblocks')
 
 
@@ -31,6 +32,19 @@ def obstacle_row(obstacle: Obstacle) -> str:
     o = obstacle
     values = _numbers([*o.box, *o.position, *o.velocity, o.time_to_contact])
     return (f'{format_stamp(o.stamp)},{o.id},{o.state.name.lower()},{values},{o.n_macroblocks}')
+
+
+def write_speeds(path: str | Path, speeds: Iterable[Speed]):
+    """Write speeds [m/s] as a table of stamps [s] and values."""
+    rows = [f'{format_stamp(speed.stamp)},{speed.value:.9g}' for speed in speeds]
+    Path(path).write_text('\n'.join([SPEEDS_HEADER, *rows]) + '\n')
+
+
+def read_speeds(path: str | Path) -> list[Speed]:
+    """Return the speeds [m/s] of a table with the columns stamp [s] and speed; see read_table."""
+    table = read_table(path, SPEEDS_HEADER)
+    return [Speed(int(stamp), float(value))
+            for stamp, value in zip(table['stamp'], table['speed'], strict=True)]
 
 
 def read_table(path: str | Path, required: str) -> dict[str, np.ndarray]:

@@ -4,7 +4,7 @@ Each family yields its cases one after another, rendered or encoded only when th
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,13 @@ from typing import Any
 from mv_slapse.codec.encoder import Encoding, leave_out, LOW_LATENCY, write_video
 from mv_slapse.codec.pictures import pictures
 from mv_slapse.geometry.camera import Camera
+from mv_slapse.records import Speed
 from mv_slapse.simulation.flight import FISHEYE, Flight, FlightSettings, WIDE
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.simulation.truth import film, film_flight
+from mv_slapse.simulation.wheels import drawn_speeds
 from mv_slapse.storage.camera_info import read_camera
+from mv_slapse.storage.tum import read_trajectory
 import numpy as np
 
 HEIGHTS = {'kitti00': 1.65, 'tusimple': 1.8}  # m, camera above the road, from the data sets
@@ -48,6 +51,8 @@ FLIGHTS = {'flight, wide lens': (WIDE, FlightSettings(n_frames=250)),
            'flight, fisheye': (FISHEYE, FlightSettings(n_frames=250, seed=1)),
            'flight, fast': (WIDE, FlightSettings(n_frames=150, seed=2, speed=4.0))}
 LOSSES = {'kitti00, 2 s lost': HEIGHTS['kitti00'], 'kitti00, 2 s lost, free scale': 0.0}
+GIVEN = 'speed given, '
+TOLD = ('kitti00/', 'kitti00, 2 s lost/', 'flight, wide lens/')  # rows with a speed, too
 LOST = range(80, 100)  # packets of 10 Hz; the road turns meanwhile
 GUESSED_FOCAL = 0.8  # of the width, where nobody knows the lens
 
@@ -64,6 +69,7 @@ class Case:
     labels: Path | None = None
     boxes: Path | None = None
     annotation: Path | None = None
+    speeds: tuple[Speed, ...] = ()
 
 
 def sequences(data: Path) -> Iterator[Case]:
@@ -112,6 +118,17 @@ def lossy(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
                 leave_out(given, video, LOST)
                 yield Case(name, video, read_camera(source / 'camera.yaml'), height,
                            source / 'ground_truth.tum')
+
+
+def with_speeds(given: Iterable[Case], seed: int = 0) -> Iterator[Case]:
+    """Yield cases, and some once more with a speed as wheels would tell it, but no height."""
+    for case in given:
+        yield case
+        if case.name.startswith(TOLD):
+            truth = case.ground_truth
+            truth = read_trajectory(truth / 'ground_truth.tum' if truth.is_dir() else truth)
+            yield replace(case, name=GIVEN + case.name, height=0.0,
+                          speeds=tuple(drawn_speeds(truth, seed)))
 
 
 def streets(folder: Path, count: int, n_frames: int, only: str = '') -> Iterator[Case]:

@@ -3,12 +3,15 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from mv_slapse.codec.encoder import ImageEncoder
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.source import open_source
-from mv_slapse.errors import UsageError
+from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
+from mv_slapse.records import Speed
+from mv_slapse.storage import tables
 from mv_slapse.storage.bag_reader import BagReader, is_bag
 from mv_slapse.video_messages import Picture
 
@@ -60,6 +63,27 @@ def is_from_bag(name: str, topic: str | None = None) -> bool:
     if topic is not None and not found:
         raise UsageError(f'--topic {topic} names a topic, but {name} is not a bag')
     return found
+
+
+def read_speeds(given: str, name: str) -> list[Speed]:
+    """Return the speeds of a table (CSV), or of an odometry topic of the bag ``name``.
+
+    Raises
+    ------
+    UnusableInput, UsageError
+        Where there is neither, or no speed in it.
+    """
+    if Path(given).is_file():
+        speeds = tables.read_speeds(given)
+    elif is_from_bag(name):
+        speeds = BagReader(name).speeds(given)
+    else:
+        raise UsageError(f'--speed {given}: no such file; give a table with the columns '
+                         f'{tables.SPEEDS_HEADER}, or, where the input is a bag, a topic of it')
+    if not speeds:
+        raise UnusableInput(f'--speed {given} holds no speed; leave the option out, or give one '
+                            'that does')
+    return speeds
 
 
 def coded(items: Iterator[Packet | Picture]) -> Iterator[Packet]:

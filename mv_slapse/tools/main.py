@@ -60,6 +60,9 @@ def _add_run(commands: Any) -> argparse.ArgumentParser:
                          help='camera_info file; a bag may bring its own calibration')
     command.add_argument('--camera-height', type=_height, metavar='M',
                          help='height of the camera above the ground; makes the scale metric')
+    command.add_argument('--speed', metavar='CSV|TOPIC',
+                         help='speed of the vehicle, which makes the scale metric: table of stamp '
+                         '[s] and speed [m/s], or topic of wheel odometry in the bag')
     command.add_argument('-o', '--output', default='out', metavar='OUT',
                          help='folder of the results (default: %(default)s)')
     command.add_argument('--topic', help='video topic of a bag that has several')
@@ -139,13 +142,15 @@ def _add_output_style(command: argparse.ArgumentParser):
 def _run(args: argparse.Namespace) -> int:
     from mv_slapse.storage.camera_info import read_camera
     from mv_slapse.tools import run
+    from mv_slapse.tools.inputs import read_speeds
     from mv_slapse.tools.progress import progress_bar
     settings = _settings(args)
     camera = read_camera(args.camera) if args.camera else None
+    speeds = read_speeds(args.speed, args.input) if args.speed else []
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C: files closed
     with progress_bar(args.quiet or args.json) as progress:
         summary = run.run(args.input, camera, settings, args.output, args.max_frames, progress,
-                          args.topic, args.command_line)
+                          args.topic, args.command_line, speeds)
     _print(args, summary.to_dict(), run.text(summary, args.output))
     if summary.interrupted:
         return INTERRUPTED

@@ -1,7 +1,7 @@
 """``mv_slapse run``: a video in, the folder of results out."""
 
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
@@ -17,7 +17,7 @@ from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.pipeline import Slapse, Step
-from mv_slapse.records import Correspondences, ObstacleState, ScaleStatus, SegmentKind
+from mv_slapse.records import Correspondences, ObstacleState, ScaleStatus, SegmentKind, Speed
 from mv_slapse.storage.archives import SCHEMA_VERSION
 from mv_slapse.storage.message_log import WITH_POSE
 from mv_slapse.storage.results import ResultsWriter
@@ -116,7 +116,7 @@ class Summary:
 
 def run(input: str | Path, camera: Camera | None, settings: Settings, output: str | Path,
         max_frames: int | None = None, progress: Progress | None = None,
-        topic: str | None = None, command: str = '') -> Summary:
+        topic: str | None = None, command: str = '', speeds: Iterable[Speed] = ()) -> Summary:
     """Run everything on a video file, a URL or a bag and write the folder of results.
 
     Parameters
@@ -130,6 +130,8 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
         Video topic of a bag that has several.
     command : str
         For the record.
+    speeds : iterable of Speed
+        Of the vehicle, with the stamps of the video's clock; these make the scale metric.
 
     Raises
     ------
@@ -139,7 +141,8 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
         Where arguments contradict one another, or the output cannot be written.
     """
     with open_input(str(input), topic) as source:
-        session = _Session(source, str(input), _camera(camera, source, str(input)), settings)
+        session = _Session(source, str(input), _camera(camera, source, str(input)), settings,
+                           speeds)
         session.summary.command = command
         with ResultsWriter(output) as writer:
             try:
@@ -176,7 +179,10 @@ def lost_message(summary: Summary) -> str:
 class _Session:
     """A run in progress."""
 
-    def __init__(self, source: VideoInput, name: str, camera: Camera, settings: Settings):
+    def __init__(self, source: VideoInput, name: str, camera: Camera, settings: Settings,
+                 speeds: Iterable[Speed]):
+        self._speeds = deque(sorted(speeds, key=lambda speed: speed.stamp))
+        self._told_of = [speed.stamp / 1e9 for speed in self._speeds]
         self._source, self._camera, self._settings = source, camera, settings
         self._clock = CpuClock()
         self._decoder = CorrespondenceDecoder(settings.decoder, camera)
@@ -204,6 +210,7 @@ class _Session:
         summary, camera = self.summary, self._camera
         summary.fps = _rate(np.sort(self._stamps))
         summary.planes, summary.obstacles_confirmed = len(self._planes), len(self._obstacles)
+        self._check_clocks()
         for name, counter in self._counts.items():
             setattr(summary, name, dict(counter.most_common()))
         seconds = self._clock.seconds
@@ -212,6 +219,15 @@ class _Session:
                           'K': camera.K.tolist(), 'distortion': camera.distortion.tolist()}
         summary.settings, summary.versions = asdict(self._settings), _versions()
         return summary.to_dict()
+
+    def _check_clocks(self):
+        """Warn where no speed lies between the key frames."""
+        summary, told = self.summary, self._told_of
+        if told and not any(summary.first_stamp <= stamp <= summary.last_stamp for stamp in told):
+            summary.warnings.append(
+                f'the speeds, {told[0]:.3f} to {told[-1]:.3f} s, have no stamp between the key '
+                f'frames, {summary.first_stamp:.3f} to {summary.last_stamp:.3f} s, and were not '
+                'used; both must be of one clock')
 
     def _charge_stages(self):
         for part, verb, stage in (('extractor', 'extract', 'extract'), ('scene', 'step', 'filter'),
@@ -227,10 +243,17 @@ class _Session:
         for pair in pairs:
             if not self.summary.key_frames:
                 check_size(self._camera, pair.width, pair.height, self.summary.input)
-            step = self._slapse.step(pair)
+            step = self._slapse.step(pair, self._told(pair.stamp))
             with self._clock.stage('write'):
                 writer.write(step)
             self._count(step)
+
+    def _told(self, stamp: int) -> list[Speed]:
+        """Return the speeds that were told since the pair before."""
+        told = []
+        while self._speeds and self._speeds[0].stamp <= stamp:
+            told.append(self._speeds.popleft())
+        return told
 
     def _count(self, step: Step):
         summary, scene, pair = self.summary, step.scene, step.correspondences

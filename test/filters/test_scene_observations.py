@@ -13,6 +13,7 @@ OBSERVATIONS = {
     'height wrong for good': lambda s: scene_observations.camera_height(s, ROAD, 1.65, 0.03, 0.02),
     'mounting': lambda s: scene_observations.mounting(s, ROAD, 0.01),
     'baseline': lambda s: scene_observations.baseline(s, 3.0, 1e-3),
+    'speed wrong for good': lambda s: scene_observations.baseline(s, 3.0, 0.02, 0.01),
     'baseline ratio': lambda s: scene_observations.baseline_ratio(s, 0.006),
     'level course': lambda s: scene_observations.level_course(s, 0.02),
 }
@@ -51,6 +52,9 @@ def test_innovations_by_hand():
     wrong = np.zeros((1, scene_state.N_LASTING))
     wrong[0, scene_state.HEIGHT] = 0.02
     np.testing.assert_array_equal(OBSERVATIONS['height wrong for good'](state).lasting, wrong)
+    faster = np.zeros((1, scene_state.N_LASTING))
+    faster[0, scene_state.SPEED] = 0.01
+    np.testing.assert_array_equal(OBSERVATIONS['speed wrong for good'](state).lasting, faster)
     np.testing.assert_allclose(innovation['mounting'], 0, atol=1e-12)
     np.testing.assert_allclose(innovation['baseline'], [np.log(3 / np.hypot(0.3, 2))])
     np.testing.assert_allclose(innovation['baseline ratio'], [np.log(np.hypot(0.3, 2)) - 0.5])

@@ -197,10 +197,12 @@ def test_dependence_and_bias_widen_the_covariance(rng, scene):
 
 
 def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
-    """A turn of all vectors, places beside the middle, a wrong height or focal length."""
+    """A turn of all vectors, places beside the middle, a wrong height, speed or focal length."""
     settings = replace(SIMPLE, vector_bias=0.05, place_bias=0.5, focal_sigma=0.002)
 
-    def posterior(turn, height, beside=(0.0, 0.0), longer=0.0):
+    length = np.linalg.norm(scene.t)
+
+    def posterior(turn, height, beside=(0.0, 0.0), longer=0.0, faster=0.0):
         rays = scene.pair.rays_prev @ rotation.exp(-turn).T
         offset = np.r_[np.array(beside) / scene.pair.focal, 0.0]
         wide = np.array([1 + longer, 1 + longer, 1])
@@ -211,7 +213,9 @@ def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
         found = scene_update.update(
             state, np.zeros(state.size), pair, scene.surface, IDS, settings,
             [partial(scene_observations.camera_height, ground=ROAD, height=height, sigma=0.03,
-                     lasting=0.02)])
+                     lasting=0.02),
+             partial(scene_observations.baseline, length=length * np.exp(faster), sigma=0.02,
+                     lasting=0.01)])
         return state.error_to(found)[6:12], found
 
     base, found = posterior(np.zeros(3), 1.65)
@@ -219,6 +223,7 @@ def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
     shifts = [posterior(scene.R.T @ (turn * size), 1.65)[0] - base for turn in np.eye(3)]
     shifts += [posterior(np.zeros(3), 1.65, 0.5 * side)[0] - base for side in np.eye(2)]
     shifts.append(posterior(np.zeros(3), 1.67)[0] - base)
+    shifts.append(posterior(np.zeros(3), 1.65, faster=0.01)[0] - base)
     shifts.append(posterior(np.zeros(3), 1.65, longer=0.002)[0] - base)
     columns = found.error.lasting[found.at('current')]
     scale = np.sqrt(np.diag(found.error.total))[6:12, None]

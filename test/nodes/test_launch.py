@@ -28,6 +28,14 @@ def test_a_topic_is_remapped_with_the_camera_info_beside_it():
     assert nodes['slam'].remappings == {}
 
 
+def test_wheel_odometry_goes_to_the_filter_of_the_pose_alone():
+    nodes = resolve(wheel_odometry_topic='/base/odom')
+    assert [name for name in FOUR if 'wheel_odometry' in nodes[name].remappings] == ['slam']
+    assert nodes['slam'].remappings == {'wheel_odometry': '/base/odom'}
+    node = resolve(wheel_odometry_topic='/base/odom', all_in_one='true')['all_in_one']
+    assert node.remappings == {'wheel_odometry': '/base/odom'}
+
+
 def test_a_raw_topic_keeps_its_name_when_its_camera_info_is_sought():
     nodes = resolve(input='/front/image_raw')
     assert nodes['decoder'].remappings['camera_info'] == '/front/camera_info'

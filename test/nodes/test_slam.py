@@ -12,16 +12,16 @@ from mv_slapse import fields  # noqa: E402
 from mv_slapse.config import SceneSettings  # noqa: E402
 from mv_slapse.filters.scene import SceneFilter  # noqa: E402
 from mv_slapse.geometry.ros_frames import R_BODY_FROM_OPTICAL, RosFrames  # noqa: E402
-from mv_slapse.nodes.conversions import to_message  # noqa: E402
+from mv_slapse.nodes.conversions import stamp_to_msg, to_message  # noqa: E402
 from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
 from mv_slapse.nodes.shell import Shell  # noqa: E402
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
-from mv_slapse.records import Label, MapPlane, TrackingStatus  # noqa: E402
+from mv_slapse.records import Label, MapPlane, Speed, TrackingStatus  # noqa: E402
 from mv_slapse_msgs.msg import PlaneHandover, PlaneMap, PlaneObservations  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from nav_msgs.msg import Path as PathMsg
 from nodes import drives  # noqa: E402
-from nodes.bench import LATCHED, messages_of  # noqa: E402
+from nodes.bench import BEST_EFFORT, LATCHED, messages_of  # noqa: E402
 import numpy as np  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
@@ -193,6 +193,50 @@ def test_where_a_message_was_lost_the_robot_does_as_a_replay_of_the_rest(bench):
                                np.c_[replayed[:, 2], -replayed[:, 0], -replayed[:, 1]], atol=1e-5)
     np.testing.assert_allclose(position(odometry[-1]), expected_positions(8)[-1], atol=0.15)
     assert 'gaps' in str(node.health.status().values)
+
+
+def wheel_odometry(stamp, forward):
+    msg = Odometry()
+    msg.header.stamp = stamp_to_msg(stamp)
+    msg.twist.twist.linear.x = forward
+    return msg
+
+
+def drive_with_wheels(bench, offset=0):
+    """Feed the drive after speeds at its key frames; return its node, odometry and map."""
+    received = bench.listen(Odometry, 'odometry'), bench.listen(PlaneMap, 'planes/map')
+    node = bench.start(SlamNode, tf_wait=0.0)
+    publisher = bench.advertise(Odometry, 'wheel_odometry', BEST_EFFORT)
+    speeds = [Speed(extraction.stamp, 7.5) for extraction in extractions()]
+    for speed in [Speed(extractions()[0].previous_stamp, 7.5), *speeds]:
+        publisher.publish(wheel_odometry(speed.stamp + offset, speed.value))
+    assert bench.spin(lambda: 'messages on wheel_odometry' in str(node.health.status().values))
+    bench.spin(lambda: False, 0.3)
+    feed(bench)
+    assert bench.spin(lambda: len(received[0]) == N and len(received[1]) == N, 30)
+    return node, speeds, *received
+
+
+def extractions():
+    return [step.extraction for step in drives.steps(N)]
+
+
+def test_the_speed_of_wheels_makes_the_scale_metric_as_in_a_replay(bench):
+    _, speeds, odometry, maps = drive_with_wheels(bench)
+    filter_ = SceneFilter(SceneSettings())
+    first = Speed(extractions()[0].previous_stamp, 7.5)
+    replayed = [filter_.step(extraction, (), [first, speed] if i == 0 else [speed])[0]
+                for i, (extraction, speed) in enumerate(zip(extractions(), speeds, strict=True))]
+    t = np.array([scene.t_world_from_cam for scene in replayed])
+    np.testing.assert_allclose([position(msg) for msg in odometry],
+                               np.c_[t[:, 2], -t[:, 0], -t[:, 1]], atol=1e-9)
+    assert {(msg.scale_status, msg.scale_source) for msg in maps} == {(1, 'speed')}
+
+
+def test_wheels_of_another_clock_are_not_used_and_it_is_said(bench):
+    node, _, _, maps = drive_with_wheels(bench, offset=10**12)
+    assert maps[-1].scale_status == 0
+    assert 'stamp both with one clock' in messages_of(node)
 
 
 def test_the_path_is_bounded(bench):

@@ -2,6 +2,7 @@ from mv_slapse import fields
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
+from mv_slapse.records import Speed
 from mv_slapse.storage.bag_reader import BagReader, is_bag
 from mv_slapse.storage.bag_writer import BagWriter, McapFile
 from mv_slapse.video_messages import FFMPEG_PACKET, packet_to_fields
@@ -51,6 +52,30 @@ def test_the_calibration_comes_with_the_video(path):
     camera = BagReader(path).camera('/camera/image/ffmpeg')
     assert (camera.width, camera.height) == (64, 48)
     np.testing.assert_array_equal(camera.K, CAMERA.K)
+
+
+def odometry(stamp, forward, left=0.0):
+    """Return the fields of a nav_msgs/Odometry of wheels."""
+    zero = {'x': 0.0, 'y': 0.0, 'z': 0.0}
+    pose = {'position': zero, 'orientation': {**zero, 'w': 1.0}}
+    return {'header': fields.header(stamp, 'odom'), 'child_frame_id': 'base_link',
+            'pose': {'pose': pose, 'covariance': np.zeros(36)},
+            'twist': {'twist': {'linear': {**zero, 'x': forward, 'y': left}, 'angular': zero},
+                      'covariance': np.zeros(36)}}
+
+
+def test_speeds_are_those_of_a_topic_with_odometry(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        fill(writer)
+        for i, (forward, left) in enumerate(((3.0, 4.0), (-2.0, 0.0))):
+            writer.write('/wheels/odom', 'nav_msgs/msg/Odometry',
+                         odometry(10**18 + 100 * i, forward, left), 100 * i)
+    reader = BagReader(tmp_path / 'bag')
+    expected = [Speed(10**18, 5.0), Speed(10**18 + 100, -2.0)]
+    assert reader.speeds('wheels/odom') == reader.speeds('/wheels/odom') == expected
+    for topic in ('/odom', '/camera/image/ffmpeg'):
+        with pytest.raises(UsageError, match=f'no topic {topic} of type .*here: /wheels/odom'):
+            reader.speeds(topic)
 
 
 def test_the_nearest_calibration_is_taken(tmp_path):

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import made_up
 from mv_slapse.errors import UnusableInput
+from mv_slapse.records import Speed
 from mv_slapse.storage import tables
 import numpy as np
 from numpy.testing import assert_allclose
@@ -43,6 +44,20 @@ def test_an_obstacle_comes_back_from_its_row(rng, tmp_path):
     assert_allclose([row['px'], row['py'], row['pz']], obstacle.position, rtol=1e-8)
     assert_allclose([row['vx'], row['vy'], row['vz']], obstacle.velocity, rtol=1e-8)
     assert row['ttc'] == np.inf
+
+
+def test_speeds_come_back_with_every_digit_of_their_stamps(tmp_path):
+    speeds = [Speed(1_700_000_000_123_456_789, 8.25), Speed(1_700_000_000_223_456_789, -0.5)]
+    tables.write_speeds(tmp_path / 'speeds.csv', speeds)
+    assert tables.read_speeds(tmp_path / 'speeds.csv') == speeds
+
+
+@pytest.mark.parametrize(('text', 'message'), [('time,speed\n0,1\n', 'no column stamp'),
+                                               ('stamp,speed\n0,fast\n', 'column speed')])
+def test_a_table_that_holds_no_speeds_is_refused(tmp_path, text, message):
+    (tmp_path / 'speeds.csv').write_text(text)
+    with pytest.raises(UnusableInput, match=message):
+        tables.read_speeds(tmp_path / 'speeds.csv')
 
 
 def test_a_table_without_rows_has_empty_columns(tmp_path):

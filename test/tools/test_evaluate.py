@@ -8,7 +8,7 @@ from mv_slapse.codec.source import open_source
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.simulation.flight import FISHEYE
 from mv_slapse.storage.camera_info import write_camera
-from mv_slapse.storage.tum import read_trajectory
+from mv_slapse.storage.tum import read_trajectory, write_poses
 from mv_slapse.tools import cases, evaluate
 import numpy as np
 import pytest
@@ -87,6 +87,18 @@ def test_lost_packets_leave_a_gap_in_the_stamps(data, tmp_path, monkeypatch):
         stamps = [packet.stamp for packet in source.packets()]
     expected = [*range(10), *range(30, 40)]
     np.testing.assert_allclose(stamps, 1e8 * np.array(expected), atol=1e3)
+
+
+def test_some_rows_come_twice_with_a_speed_in_place_of_the_height(tmp_path):
+    poses = [(i * 10**8, np.eye(3), np.array([0.0, 0.0, 0.5 * i])) for i in range(5)]
+    write_poses(tmp_path / 'truth.tum', poses)
+    given = [cases.Case(name, tmp_path, CAMERA, 1.65, tmp_path / 'truth.tum')
+             for name in ('kitti00/a.mp4', 'parking/a.mp4')]
+    first, told, last = cases.with_speeds(given)
+    assert [first, last] == given
+    assert (told.name, told.height) == ('speed given, kitti00/a.mp4', 0.0)
+    np.testing.assert_allclose([speed.value for speed in told.speeds], 5.0, rtol=0.05)
+    assert [speed.stamp for speed in told.speeds] == [stamp for stamp, _, _ in poses]
 
 
 def test_a_video_without_a_calibration_gets_a_guessed_one(tmp_path):

@@ -1,10 +1,14 @@
+from dataclasses import replace
 import json
 import re
 import subprocess
 import sys
 
 from mv_slapse.codec.encoder import write_video
+from mv_slapse.simulation.wheels import drawn_speeds
 from mv_slapse.storage.bag_reader import BagReader
+from mv_slapse.storage.tables import read_speeds, write_speeds
+from mv_slapse.storage.tum import read_trajectory
 from mv_slapse.tools import main as command_line
 from mv_slapse.tools import run
 from mv_slapse.tools.run import Summary
@@ -59,6 +63,34 @@ def test_settings_come_from_file_and_command_line(call, clip, tmp_path):
     assert (extraction['min_macroblocks'], extraction['seed']) == (25, 2)
 
 
+@pytest.fixture
+def wheels(clip, tmp_path):
+    """Return a table of the true speed."""
+    truth = read_trajectory(clip.truth / 'ground_truth.tum')
+    write_speeds(tmp_path / 'wheels.csv', drawn_speeds(truth, 0, 0.0))
+    return tmp_path / 'wheels.csv'
+
+
+def test_a_speed_makes_the_scale_metric(call, clip, wheels, tmp_path):
+    code, out, err = call('run', clip.video, '--camera', clip.camera, '--speed', wheels,
+                          '-o', tmp_path / 'out', '--json')
+    summary = json.loads(out)
+    assert (code, err, summary['warnings']) == (0, '', [])
+    assert (summary['scale_status'], summary['scale_source']) == ('metric', 'speed')
+    _, out, _ = call('eval', tmp_path / 'out', '--ground-truth', clip.truth, '--json')
+    assert json.loads(out)['scale'] == pytest.approx(1, abs=0.02)
+
+
+def test_speeds_of_another_clock_are_not_used_and_it_is_said(call, clip, wheels, tmp_path):
+    late = [replace(speed, stamp=speed.stamp + 10**12) for speed in read_speeds(wheels)]
+    write_speeds(wheels, late)
+    code, out, _ = call('run', clip.video, '--camera', clip.camera, '--speed', wheels,
+                        '-o', tmp_path / 'out', '--json')
+    summary = json.loads(out)
+    assert (code, summary['scale_status']) == (0, 'unknown')
+    assert 'both must be of one clock' in summary['warnings'][0]
+
+
 def test_inspect_prints_one_object(call, clip):
     code, out, _ = call('inspect', clip.video, '--json')
     assert code == 0
@@ -111,6 +143,8 @@ BAD_INPUT = [
     (['run', '{video}', '--camera', '{tmp}/other.yaml'], 3, '480x352.*641x352'),
     (['run', '{video}'], 2, 'give one with --camera'),
     (['run', '{video}', '--camera', '{camera}', '--topic', '/a'], 2, 'is not a bag'),
+    (['run', '{video}', '--camera', '{camera}', '--speed', '/odom'], 2, 'no such file; give a t'),
+    (['run', '{video}', '--camera', '{camera}', '--speed', '{camera}'], 3, 'no column stamp'),
     (['run', '{video}', '--camera', '{camera}', '--set', 'a.b=1'], 2, 'no setting a.b'),
     (['run', '{video}', '--camera', '{camera}', '--settings', '{tmp}/none'], 2, 'settings file'),
     (['run', '{video}', '--camera', '{camera}', '-o', '{camera}'], 2, 'cannot be written'),
