@@ -220,7 +220,7 @@ def test_hand_overs_reach_the_tracker_at_once_and_the_scene_at_the_next_step(mon
         def __init__(self, settings):
             self.step_number = 0
 
-        def step(self, extraction, handovers):
+        def step(self, extraction, handovers, speeds):
             received.append(('scene', list(handovers)))
             self.step_number += 1
             return f'scene {self.step_number}', [f'moves {self.step_number}']

@@ -301,6 +301,27 @@ def test_what_touches_a_mover_and_is_on_no_plane_is_left_out():
     assert (22, 15) in seen
 
 
+def test_what_stands_among_vectors_that_mostly_do_not_is_left_out_but_on_a_plane():
+    extraction = Canyon().extraction(3)
+    cell = (extraction.x_cur // 16).astype(int)
+    around = np.flatnonzero(np.all(np.abs(cell - (10, 18)) <= 2, axis=1))
+    middle = np.flatnonzero(np.all(cell == (10, 18), axis=1))[0]
+    others = np.setdiff1d(around, middle)
+    assert len(others) == 24
+
+    def is_used(n_astray, on_plane=False):
+        label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
+        label[around], plane_id[around] = Label.STATIONARY, -1
+        label[others[:n_astray]] = Label.UNKNOWN
+        plane_id[middle] = GROUND if on_plane else -1
+        pair, _ = stationary(replace(extraction, label=label, plane_id=plane_id))
+        return bool(np.any(np.all(pair.x_prev == extraction.x_prev[middle], axis=1)))
+
+    assert is_used(12)
+    assert not is_used(13)
+    assert is_used(24, on_plane=True)
+
+
 def test_a_road_that_may_slope_is_less_sure_of_its_normal():
     spread = []
     for slope in (0.0, 0.05):
