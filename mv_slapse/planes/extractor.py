@@ -26,6 +26,7 @@ from mv_slapse.planes.extraction import PlaneFit
 from mv_slapse.planes.ground import GroundPrior, GroundTrack, Mount
 from mv_slapse.planes.known import KnownPlane
 from mv_slapse.planes.memory import Memory
+from mv_slapse.planes.past import departure, depths_of
 from mv_slapse.planes.silhouettes import Silhouettes
 from mv_slapse.records import (
     CameraMotion,
@@ -108,7 +109,7 @@ class PlaneExtractor:
         blank, pair, evidence = pairs.only(whole, rows), pair[rows], evidence[rows]
         found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor,
                                                   free[rows], road[rows]))
-        found = self._moving(blank, pair, self._named(found), floor)
+        found = self._moving(blank, pair, self._named(found), floor, ratio)
         found = self._refined(pair, found, floor)
         # Anew, by the motion that the next pair will compare with: its error then cancels.
         ratio = self._ratio(blank, pair, found.evidence, found.fit)
@@ -213,7 +214,8 @@ class PlaneExtractor:
         known = self._known(blank, fit, ratio)
         depths = self._carried(pair, replace(depths, sigma=evidence.blur), fit, ratio)
         walls, known = extraction.stationary_planes(
-            depths, free, known, prior.normal if floor is None else _unit(floor.plane),
+            depths, free, known,
+            prior.normal if floor is None else floor.plane / np.linalg.norm(floor.plane),
             self._rules, self._rules.max_planes - len(found), self._memory.next_id)
         newest = max((plane.id for plane in known), default=-1)
         self._memory = replace(
@@ -239,7 +241,7 @@ class PlaneExtractor:
         predicted = (plane.predicted(R, t, log, sigma) for plane in memory.planes)
         return [plane for plane in predicted if plane is not None]
 
-    def _moving(self, blank, pair, found: Found, prior: GroundPrior) -> Found:
+    def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio) -> Found:
         """Find what moves by itself, and take it out of the stationary planes."""
         label, plane_id = _labels(found)
         floor = seen = next((plane.plane for plane in found.planes if plane.is_ground), None)
@@ -252,7 +254,9 @@ class PlaneExtractor:
                         sigma=pair.sigma.astype(np.float32))
         shown, self._movers = moving_regions.with_moving_planes(
             shown, floor if rides else None, self._movers, self._settings.moving_score,
-            prior.normal if rides else None)
+            prior.normal if rides else None, departure(
+                self._memory.past_at(blank, fit, ratio), blank,
+                depths_of(pair, blank, found.evidence, _with_depth(found.evidence))))
         shown = replace(shown, planes=tuple(
             plane for plane in shown.planes if plane.label is Label.MOVING))
         still = shown.label != Label.MOVING
@@ -348,12 +352,15 @@ class PlaneExtractor:
         else:
             track = track.seen(floor.id, floor.plane, floor.covariance)
         evidence, size = found.evidence, (blank.width, blank.height)
+        still = _with_depth(evidence) & (found.moving.label != Label.MOVING) & ~found.doubtful
+        past = self._memory.past_at(blank, found.fit, scale.BaselineRatio(
+            blank.baseline_ratio, blank.baseline_ratio_sigma))
         self._memory = Memory(
             blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
             scale.depth_map(*size, blank.x_cur, evidence.rho, _noise(pair, found.fit),
                             found.fit.t_cur_from_prev[2], _with_depth(evidence) & ~found.doubtful),
             self._memory.planes, doubtful.painted(found.moving), self._memory.height,
-            self._memory.grid)
+            self._memory.grid, past.noted(blank.stamp, depths_of(pair, blank, evidence, still)))
 
 
 def _labels(found: Found):
@@ -379,11 +386,6 @@ def _observations(x_cur, found: Found):
         yield PlaneObservation(plane.id, Label.STATIONARY, plane.plane, plane.covariance,
                                is_ground=plane.is_ground,
                                n_macroblocks=lattice.count_macroblocks(x_cur[plane.member]))
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    """Return a vector divided by its length."""
-    return vector / np.linalg.norm(vector)
 
 
 def _with_depth(evidence) -> np.ndarray:

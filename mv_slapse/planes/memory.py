@@ -8,6 +8,7 @@ from mv_slapse.planes.depth_grid import DepthGrid
 from mv_slapse.planes.ground import GroundTrack, Mount
 from mv_slapse.planes.height import HeightBelief
 from mv_slapse.planes.known import KnownPlane
+from mv_slapse.planes.past import Past
 from mv_slapse.records import Extraction
 import numpy as np
 
@@ -33,6 +34,7 @@ class Memory:
     movers: np.ndarray | None = None
     height: HeightBelief = HeightBelief.blank()
     grid: DepthGrid | None = None
+    past: Past = Past()
 
     def turned(self, stamp: int, R) -> 'Memory':
         """Return it after the camera has turned by R_cur_from_prev on the spot."""
@@ -41,7 +43,14 @@ class Memory:
         floor = self.ground.plane
         floor = floor if floor is None else R @ floor
         return replace(self, stamp=stamp, previous_stamp=None, depths=None, planes=planes,
-                       movers=None, grid=None, ground=replace(self.ground, plane=floor))
+                       movers=None, grid=None, past=Past(),
+                       ground=replace(self.ground, plane=floor))
+
+    def past_at(self, blank: Extraction, fit: MotionFit, ratio: scale.BaselineRatio) -> Past:
+        """Return what stood still before in a pair's camera; nothing where lengths are unknown."""
+        if self.stamp != blank.previous_stamp or not np.isfinite(ratio.sigma):
+            return Past()
+        return self.past.carried(blank.stamp, fit.R_cur_from_prev, fit.t_cur_from_prev, ratio.log)
 
     def log_ratio(self, blank: Extraction, ratio: scale.BaselineRatio) -> tuple[float, float]:
         """Return the logarithm of a pair's baseline over the last one, and its uncertainty."""

@@ -31,8 +31,8 @@ class Memory:
         Centres and sizes [px].
     velocity : (N, 2) float64
         In the picture [px/s].
-    score : (N,) float64
-        Summed over key frame pairs.
+    score, left : (N,), (N,) float64
+        That it moves, and that it has left where it stood, summed over key frame pairs.
     id : (N,) int
         Moving region that each belongs to, -1 for none.
     seen : (N,) int
@@ -46,6 +46,7 @@ class Memory:
     block: np.ndarray = _none(2)
     velocity: np.ndarray = _none(2)
     score: np.ndarray = _none()
+    left: np.ndarray = _none()
     id: np.ndarray = _none(dtype=int)
     seen: np.ndarray = _none(dtype=int)
     next_id: int = FIRST_ID
@@ -60,34 +61,35 @@ class Memory:
     def only(self, kept: np.ndarray) -> 'Memory':
         """Return it with some blocks only, (N,) bool."""
         return replace(self, x=self.x[kept], block=self.block[kept],
-                       velocity=self.velocity[kept], score=self.score[kept], id=self.id[kept],
-                       seen=self.seen[kept])
+                       velocity=self.velocity[kept], score=self.score[kept],
+                       left=self.left[kept], id=self.id[kept], seen=self.seen[kept])
 
-    def inherited(self, extraction: Extraction) -> tuple[np.ndarray, np.ndarray]:
-        """Return score (N,), nan: unknown, and id (N,), -1: none, that blocks come from."""
+    def inherited(self, extraction: Extraction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return score and left (N,), nan: unknown, and id (N,), -1: none, that blocks had."""
         at = self.at(extraction.previous_stamp)
         at = at.only(_inside(at.x, extraction))
         if not len(at.x):
             n = len(extraction.x_cur)
-            return np.full(n, np.nan), np.full(n, -1)
+            return np.full(n, np.nan), np.full(n, np.nan), np.full(n, -1)
         grid = lattice.paint(extraction.width, extraction.height, at.x, at.block,
                              np.arange(len(at.x)))
         source = lattice.lookup(grid, extraction.x_prev.astype(float))
         return (np.where(source < 0, np.nan, at.score[source]),
+                np.where(source < 0, np.nan, at.left[source]),
                 np.where(source < 0, -1, at.id[source]))
 
-    def after(self, extraction: Extraction, score: np.ndarray, id_: np.ndarray, next_id: int,
-              fading: float) -> 'Memory':
+    def after(self, extraction: Extraction, score: np.ndarray, left: np.ndarray, id_: np.ndarray,
+              next_id: int, fading: float) -> 'Memory':
         """Return what is known after a pair.
 
         Parameters
         ----------
         extraction : Extraction
-        score, id_ : (N,), (N,) arrays
+        score, left, id_ : (N,), (N,), (N,) arrays
             Of its blocks.
         next_id : int
         fading : float
-            Share of their score that blocks without a vector keep.
+            Share of their scores that blocks without a vector keep.
         """
         x, block = extraction.x_cur.astype(float), extraction.block.astype(float)
         seconds = (extraction.stamp - extraction.previous_stamp) / SECOND
@@ -99,7 +101,8 @@ class Memory:
         seen = np.full(len(x), extraction.stamp)
         return Memory(extraction.stamp, *(np.concatenate(pair) for pair in (
             (old.x, x), (old.block, block), (old.velocity, (x - extraction.x_prev) / seconds),
-            (fading * old.score, score), (old.id, id_), (old.seen, seen))), next_id)
+            (fading * old.score, score), (fading * old.left, left),
+            (old.id, id_), (old.seen, seen))), next_id)
 
 
 def _inside(x: np.ndarray, extraction: Extraction) -> np.ndarray:

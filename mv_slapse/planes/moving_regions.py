@@ -16,7 +16,7 @@ from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice
 from mv_slapse.planes.mover_memory import FIRST_ID, Memory
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
-from mv_slapse.planes.region_scores import Blocks, outlines, REPEATED, scores, Seen
+from mv_slapse.planes.region_scores import Blocks, departures, outlines, REPEATED, scores, Seen
 from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -43,8 +43,9 @@ KEPT = 0.5  # of the score at which a region moves: enough for what was or is be
 class _Field:
     """Motion of all blocks after removing rotation, and which cannot belong to an obstacle.
 
-    ``ground_like`` blocks move as the ground does, ``far`` ones above the horizon do not move,
-    ``below`` ones look farther than the ground that they would hide.
+    ``ground_like`` blocks move as the ground does and have not left where they stood, ``far`` ones
+    above the horizon do not move, ``below`` ones look farther than the ground that they would
+    hide.
     """
 
     x: np.ndarray
@@ -54,6 +55,7 @@ class _Field:
     ground_like: np.ndarray
     far: np.ndarray
     below: np.ndarray
+    departure: np.ndarray
     plane_id: np.ndarray
     ground: np.ndarray | None
     level: np.ndarray | None
@@ -69,8 +71,8 @@ class _Fitted(NamedTuple):
 
 
 def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory: Memory,
-                       threshold: float, level: np.ndarray | None = None
-                       ) -> tuple[Extraction, Memory]:
+                       threshold: float, level: np.ndarray | None = None,
+                       departure: np.ndarray | None = None) -> tuple[Extraction, Memory]:
     """Add the moving planes of a pair to what was found stationary in it.
 
     Parameters
@@ -85,6 +87,8 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
         Score from which on a region is called moving; chi-square beyond its mean.
     level : (3,) array, optional
         Up in camera k, where the ground is not known.
+    departure : (N,) array, optional
+        As of planes.past.departure.
 
     Returns
     -------
@@ -93,29 +97,33 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     memory : Memory
         For the next pair.
     """
-    motion_field = _motion_field(extraction, ground, level if ground is None else ground)
+    departure = np.zeros(len(extraction.x_cur)) if departure is None else departure
+    motion_field = _motion_field(extraction, ground, level if ground is None else ground,
+                                 departure)
     members = _alike(motion_field)
     found = _fitted(extraction, motion_field, members)
-    score, before = memory.inherited(extraction)
-    total = _scored(extraction, motion_field, found) + FADING * _better_half(
-        members, score)
+    score, left, before = memory.inherited(extraction)
+    now, leaves = _scored(extraction, motion_field, found)
+    total = now + FADING * _better_half(members, score)
+    gone = np.maximum(leaves + FADING * _better_half(members, left), 0.0)
     known = _majority(members, before)
     known = np.where(known >= 0, known, _covered(members, extraction))
-    moves = _moves(members, motion_field, total, known, threshold)
+    moves = _moves(members, motion_field, np.maximum(total, gone), known, threshold)
     ids, next_id = _named(members, moves, known, memory.next_id)
     # What is in no region this time is not forgotten at once.
     score = FADING * np.nan_to_num(score) * ~motion_field.ground_like
+    left = FADING * np.nan_to_num(left)
     before = np.full(len(before), -1)
-    for member, total_, id_ in zip(members, total, ids, strict=True):
-        score[member], before[member] = total_, id_
+    for member, *values in zip(members, total, gone, ids, strict=True):
+        score[member], left[member], before[member] = values
     moving = sorted(np.flatnonzero(ids >= 0), key=lambda i: -len(members[i]))
     planes = {int(ids[i]): (members[i], _plane(extraction, motion_field, found, i))
               for i in moving}
     return (_labelled(extraction, motion_field, planes),
-            memory.after(extraction, score, before, next_id, FADING))
+            memory.after(extraction, score, left, before, next_id, FADING))
 
 
-def _motion_field(extraction, ground, level):
+def _motion_field(extraction, ground, level, departure):
     """Judge the blocks singly: those on the ground and those without parallax are left out."""
     K, motion = extraction.K, extraction.motion
     R, t = motion.R_cur_from_prev, motion.t_cur_from_prev
@@ -128,12 +136,14 @@ def _motion_field(extraction, ground, level):
     error = np.abs(epipolar.epipolar_error(rays, before, focal, R, t)) / extraction.sigma
     noise = per_pixel * extraction.sigma
     slack = 3 * noise + ON_GROUND * under
-    ground_like = (under > 0) & (error < 4) & (np.abs(rho - under) < slack)
+    # The lower rows of a car that starts look as far as the road before it.
+    ground_like = ((under > 0) & (error < 4) & (np.abs(rho - under) < slack)
+                   & (departure <= 0))
     least = FAR if np.any(t) else RESTING
     far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < least)
     below = rho + 2 * noise < BELOW_GROUND * under
     return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far, below,
-                  extraction.plane_id, ground, level,
+                  departure, extraction.plane_id, ground, level,
                   Seen(x, rho, noise, under, _copied(extraction)))
 
 
@@ -209,9 +219,12 @@ def _fitted(extraction, motion_field, members):
 
 
 def _scored(extraction, motion_field, found):
-    """Return the score (R,) of each region in this pair; 0 where no plane fits."""
+    """Return the scores (R,), (R,) of each region in this pair; 0 where no plane fits.
+
+    That it moves, and that it has left where it stood.
+    """
     if found is None:
-        return np.zeros(0)
+        return np.zeros(0), np.zeros(0)
     fits = np.isfinite(found.fit.variance)
     fit = found.fit._replace(variance=np.where(fits, found.fit.variance, 1.0))
     at = found.at
@@ -221,7 +234,9 @@ def _scored(extraction, motion_field, found):
                        motion_field.level)
     score = scores(fit, outline, extraction.K, extraction.motion.t_cur_from_prev,
                    motion_field.seen)
-    return np.where(fits, score, 0.0)
+    leaves = departures(outline, np.add.reduceat(motion_field.departure[at], found.regions.first),
+                        motion_field.seen)
+    return np.where(fits, score, 0.0), np.where(fits, leaves, 0.0)
 
 
 def _plane(extraction, motion_field, found, i) -> MovingPlane | None:

@@ -45,6 +45,7 @@ FEW = 2.0  # blocks there that tell as much as the whole picture
 LEAST_COPIED = 0.02  # share of them that there may always be
 CREDIT = 0.16  # score of a vector by the odds that it is no copy: kitti00 at 1 Mbit/s has no mover
 BORDER = 48.0  # px from the left and right end of the picture: what they cut may be of any width
+TOGETHER = 4.0  # departed blocks that tell as much as one: they err by one common depth
 STEP = 10.0  # largest part of the score of one pair,
 BACK = -5.0  # and smallest
 
@@ -192,7 +193,7 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
     stands = (outline.under > 0) & np.any(t != 0)
     # A hedge along the road is no plane: its foot is nearer than the plane of the whole says.
     # What is larger than a vehicle is a building, and the ground is not where it should be.
-    small = np.all(size <= np.outer(np.maximum(drop, 1.0), (WIDEST, TALLEST)), axis=1)
+    small = _may_be_vehicle(outline)
     farthest = np.maximum(at_foot, outline.rho)
     below = stands * small * _below_ground(farthest, sigma, outline.under, share)
     for i in np.flatnonzero(below > 0):
@@ -218,6 +219,31 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
     moving = np.flatnonzero(distance > 0)
     distance[moving] = np.minimum(distance[moving], _credible(outline, moving, seen))
     return np.clip(distance, BACK, STEP)
+
+
+def departures(outline: Outlines, likelihood: np.ndarray, seen: Seen) -> np.ndarray:
+    """Return how much rather regions (R,) have left where they stood than not, as chi-square.
+
+    Parameters
+    ----------
+    outline : Outlines
+        Of R regions.
+    likelihood : (R,) array
+        Sum of the log-likelihoods of their blocks, as of planes.past.departure.
+    seen : Seen
+        All blocks, in regions or not.
+    """
+    score = np.minimum(2 * likelihood / TOGETHER,
+                       _credible(outline, np.arange(len(likelihood)), seen))
+    # Above the horizon nothing is known; nor does a building leave.
+    able = _may_be_vehicle(outline) & (outline.drop >= LEAST_DROP)
+    return np.where(able, np.clip(score, BACK, STEP), BACK)
+
+
+def _may_be_vehicle(outline):
+    """Return which regions (R,) are no larger than a vehicle."""
+    drop = np.maximum(outline.drop, 1.0)
+    return np.all(outline.size <= np.outer(drop, (WIDEST, TALLEST)), axis=1)
 
 
 def _credible(outline, at, seen):

@@ -24,50 +24,52 @@ def remembered(x, score=8.0, k=1):
     """Return a Memory of blocks (N, 2) of one mover at the end of pair k."""
     seen = extraction(x, k)
     n = len(seen.x_cur)
-    return Memory().after(seen, np.full(n, score), np.full(n, FIRST_ID), FIRST_ID + 1, 0.5)
+    return Memory().after(seen, np.full(n, score), np.full(n, score / 2), np.full(n, FIRST_ID),
+                          FIRST_ID + 1, 0.5)
 
 
 def test_an_empty_memory_knows_nothing():
-    score, id_ = Memory().inherited(extraction([(39.5, 39.5)]))
+    score, _, id_ = Memory().inherited(extraction([(39.5, 39.5)]))
     assert np.isnan(score).all()
     assert (id_ == -1).all()
 
 
 def test_a_block_inherits_from_where_its_vector_points():
-    score, id_ = remembered([(39.5, 39.5)]).inherited(extraction([(55.5, 39.5), (103.5, 39.5)], 2))
-    assert score[0] == 8.0
-    assert np.isnan(score[1])
+    score, left, id_ = remembered([(39.5, 39.5)]).inherited(
+        extraction([(55.5, 39.5), (103.5, 39.5)], 2))
+    assert (score[0], left[0]) == (8.0, 4.0)
+    assert np.isnan([score[1], left[1]]).all()
     assert id_.tolist() == [FIRST_ID, -1]
 
 
 def test_a_mover_without_vectors_in_a_pair_goes_on_as_it_moved():
     memory = remembered([(39.5, 39.5)])
     empty = extraction([(200, 100)], 2)
-    memory = memory.after(empty, np.zeros(1), np.full(1, -1), memory.next_id, 0.5)
-    score, id_ = memory.inherited(extraction([(71.5, 39.5)], 3))
-    assert score[0] == 4.0
+    memory = memory.after(empty, np.zeros(1), np.zeros(1), np.full(1, -1), memory.next_id, 0.5)
+    score, left, id_ = memory.inherited(extraction([(71.5, 39.5)], 3))
+    assert (score[0], left[0]) == (4.0, 2.0)
     assert id_[0] == FIRST_ID
 
 
 def test_what_has_a_vector_hides_what_was_there():
     memory = remembered([(39.5, 39.5)])
-    memory = memory.after(extraction([(55.5, 39.5)], 2), np.array([-1.0]), np.full(1, -1),
-                          memory.next_id, 0.5)
+    memory = memory.after(extraction([(55.5, 39.5)], 2), np.array([-1.0]), np.zeros(1),
+                          np.full(1, -1), memory.next_id, 0.5)
     assert memory.score.tolist() == [-1.0]
 
 
 def test_it_bridges_a_pair_that_never_came():
-    score, id_ = remembered([(39.5, 39.5)]).inherited(extraction([(71.5, 39.5)], 3))
+    score, _, id_ = remembered([(39.5, 39.5)]).inherited(extraction([(71.5, 39.5)], 3))
     assert score[0] == 8.0
     assert id_[0] == FIRST_ID
 
 
 def test_what_leaves_the_picture_is_forgotten():
     memory = remembered([(311.5, 39.5)])
-    memory = memory.after(extraction(np.zeros((0, 2)), 2), np.zeros(0), np.zeros(0, int),
-                          memory.next_id, 0.5)
+    memory = memory.after(extraction(np.zeros((0, 2)), 2), np.zeros(0), np.zeros(0),
+                          np.zeros(0, int), memory.next_id, 0.5)
     assert len(memory.x) == 0
-    score, _ = remembered([(311.5, 39.5)]).inherited(extraction([(311.5, 39.5)], 3, (0, 0)))
+    score, _, _ = remembered([(311.5, 39.5)]).inherited(extraction([(311.5, 39.5)], 3, (0, 0)))
     assert np.isnan(score[0])
 
 

@@ -136,7 +136,7 @@ def test_what_is_half_as_sure_moves_beside_a_mover_only():
     pair = replace(pair, x_prev=np.where(own, x + side, pair.x_prev).astype(np.float32))
     seen = np.zeros(len(x), int)
     memory = Memory(0, pair.x_prev.astype(float), pair.block.astype(float), np.zeros_like(x),
-                    np.where(sure, THRESHOLD, 3.0), np.full(len(x), -1), seen)
+                    np.where(sure, THRESHOLD, 3.0), np.zeros(len(x)), np.full(len(x), -1), seen)
     found, _ = with_moving_planes(pair, ground, memory, THRESHOLD)
     assert np.mean(found.label[sure] == Label.MOVING) == 1.0
     assert np.mean(found.label[beside] == Label.MOVING) == 1.0
@@ -155,8 +155,8 @@ def test_what_ends_above_the_horizon_does_not_move_with_what_is_beside_it():
     pair = replace(pair, x_prev=np.where(own, x + side, pair.x_prev).astype(np.float32),
                    label=np.where(own[:, 0], 0, pair.label).astype(np.int8))
     memory = Memory(0, pair.x_prev.astype(float), pair.block.astype(float), np.zeros_like(x),
-                    np.where(tall, THRESHOLD, 1.2 * THRESHOLD), np.full(len(x), -1),
-                    np.zeros(len(x), int))
+                    np.where(tall, THRESHOLD, 1.2 * THRESHOLD), np.zeros(len(x)),
+                    np.full(len(x), -1), np.zeros(len(x), int))
     found, memory = with_moving_planes(pair, ground, memory, THRESHOLD)
     assert np.all((memory.score[above] > 0.5 * THRESHOLD) & (memory.score[above] < THRESHOLD))
     assert np.mean(found.label[tall] == Label.MOVING) == 1.0

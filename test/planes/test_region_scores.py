@@ -3,7 +3,15 @@
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.planes.moving import fit_surfaces, Regions
-from mv_slapse.planes.region_scores import BACK, Blocks, outlines, scores, Seen, STEP
+from mv_slapse.planes.region_scores import (
+    BACK,
+    Blocks,
+    departures,
+    outlines,
+    scores,
+    Seen,
+    STEP,
+)
 import numpy as np
 import pytest
 
@@ -153,3 +161,14 @@ def test_among_copied_vectors_a_few_kinds_tell_little(copied):
 
 def test_where_no_vector_is_copied_a_few_kinds_tell_all():
     assert score(8.0, (0.5, 0, 0), kinds=3) == score(8.0, (0.5, 0, 0)) == STEP
+
+
+@pytest.mark.parametrize(('high', 'likelihood', 'expected'), [
+    (1.0, 12.0, 6.0), (1.0, 100.0, STEP), (1.0, -3.0, -1.5), (1.0, -100.0, BACK),
+    (4.0, 100.0, BACK)], ids=['a car', 'surely', 'stands', 'surely stands', 'a building'])
+def test_what_has_left_scores_by_its_blocks_and_is_no_building(high, likelihood, expected):
+    x = GRID[np.all(np.abs(to_rays(K, GRID)[:, :2] * 12 - (0, HEIGHT - high)) < (1, high), axis=1)]
+    blocks = Blocks(x, np.full(x.shape, 16.0), x, np.full(len(x), 1 / 12), np.zeros(1, int))
+    outline = outlines(blocks, K, GROUND, np.array([0.0, -1.0, 0.0]))
+    seen = Seen(x, blocks.rho, 0.1 * blocks.rho, np.zeros(len(x)), np.zeros(len(x), bool))
+    assert departures(outline, np.array([likelihood]), seen)[0] == pytest.approx(expected)
