@@ -33,6 +33,21 @@ def test_errors_of_drawn_drives_have_the_size_that_the_covariance_says(consisten
     assert found.plane_share > 0.9
 
 
+def test_with_free_scale_the_first_pose_has_five_degrees_of_freedom(consistency):
+    low, high = consistency.bounds(100, 3, False)
+    np.testing.assert_allclose(low, [4.40, 5.34, 5.34], atol=0.005)
+    np.testing.assert_allclose(high, [5.64, 6.70, 6.70], atol=0.005)
+    assert np.all(consistency.bounds(100, 3, True)[0] == low[1])
+    # The length of the first way has no error: it is the unit.
+    street = consistency.Street(consistency.StreetSettings(seed=0, n_frames=4, movers=()))
+    vectors = consistency.NoisyVectors(street, consistency.VectorNoise(),
+                                       np.random.default_rng(0))
+    scene = consistency.SceneFilter(consistency.SceneSettings())
+    extractor = consistency.PlaneExtractor(street.camera, consistency.ExtractionSettings())
+    first, _ = scene.step(extractor.extract(vectors.pair(0, 3)))
+    assert np.linalg.norm(first.t_world_from_cam) == pytest.approx(1.0, abs=1e-4)
+
+
 def test_a_line_tells_what_was_found(consistency, capsys):
     assert consistency.main(['--drives', '1', '--steps', '2', '--json']) == 0
     found = json.loads(capsys.readouterr().out)['consistency']
