@@ -229,9 +229,11 @@ class ObstacleSettings(Checked):
         0.4, 's', 'for which the outline of a region, and so its place and depth, is wrong alike',
         0.0)
     moving_confidence: float = setting(
-        0.999, '-', 'confidence at which a velocity differs from zero', 0.5, 0.999999)
+        0.99, '-', 'confidence at which a velocity differs from zero, as the labels said before',
+        0.5, 0.999999)
     confirm_time: float = setting(
-        0.2, 's', 'that the evidence must span which confirms an obstacle', 0.0)
+        0.1, 's', 'that the evidence must span which confirms an obstacle: its label took two '
+        'pairs before', 0.0)
     confirm_pairs: int = setting(
         2, '-', 'key frame pairs with evidence; of 8 a second a third comes too late', 1)
     confirm_window: float = setting(0.6, 's', 'in which these pairs must lie', 0.0)

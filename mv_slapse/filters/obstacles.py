@@ -162,8 +162,12 @@ class ObstacleTracker:
         """Confirm, hand over and expire tracks; return what is left and what is handed over."""
         given = []
         for track in self._tracks:
-            track.confirmed |= self._may_drive(track) and management.confirms(
-                track.evidence, self._view.is_metric, self._settings, self._false_starts)
+            if track.confirmed:
+                track.confirmed = not management.dissolves(
+                    track.evidence, self._view.speed_unit, self._settings)
+            else:
+                track.confirmed = self._may_drive(track) and management.confirms(
+                    track.evidence, self._view.is_metric, self._settings, self._false_starts)
             if track.confirmed and self._has_stopped(track, extraction):
                 given.append(track)
         handed = [track.handover(extraction.stamp, self._view) for track in given]

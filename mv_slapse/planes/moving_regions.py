@@ -228,8 +228,9 @@ def _scored(extraction, motion_field, found):
     fits = np.isfinite(found.fit.variance)
     fit = found.fit._replace(variance=np.where(fits, found.fit.variance, 1.0))
     at = found.at
+    vector = extraction.x_prev[at] - motion_field.x[at]
     outline = outlines(Blocks(motion_field.x[at], motion_field.block[at],
-                              extraction.x_prev[at] - motion_field.x[at], motion_field.rho[at],
+                              vector, vector + motion_field.parallax[at], motion_field.rho[at],
                               found.regions.first), extraction.K, motion_field.ground,
                        motion_field.level)
     score = scores(fit, outline, extraction.K, extraction.motion.t_cur_from_prev,

@@ -31,6 +31,7 @@ LOWEST_PART = 0.3  # the same of a part that comes towards the camera
 LEAST_FILLED = 0.4  # share of its box that a vehicle's blocks cover
 RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane,
 WIDE = 250.0  # px, if it is as wide as this
+PULL = 0.04  # share of a turn of the camera by which a region's vectors may all miss it
 LEAST_RATIO = 1.2  # of apparent over ground's inverse depth at which something may hover
 CLEARANCE = 0.06  # logarithm of that ratio: what is left when the next is taken off
 OUTLIER = 0.05  # density of a wrong vector's depth, to the peak of a right one's
@@ -81,6 +82,8 @@ class Blocks(NamedTuple):
         Centres and sizes [px].
     vector : (N, 2) float64
         Where they were in the previous key frame, from where they are [px].
+    turned : (N, 2) float64
+        The part of that which the camera's rotation makes [px].
     rho : (N,) float64
         Apparent inverse depths [1/baseline].
     first : (R,) int
@@ -90,6 +93,7 @@ class Blocks(NamedTuple):
     x: np.ndarray
     block: np.ndarray
     vector: np.ndarray
+    turned: np.ndarray
     rho: np.ndarray
     first: np.ndarray
 
@@ -113,6 +117,8 @@ class Outlines(NamedTuple):
         Mean apparent inverse depth of the blocks near the foot [1/baseline].
     kinds : (R,) int
         Vectors that differ.
+    turned : (R, 2) float64
+        Mean shift by the camera's rotation [px].
     """
 
     low: np.ndarray
@@ -123,6 +129,7 @@ class Outlines(NamedTuple):
     filled: np.ndarray
     rho: np.ndarray
     kinds: np.ndarray
+    turned: np.ndarray
 
     @property
     def size(self) -> np.ndarray:
@@ -163,7 +170,8 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
     rho = np.add.reduceat(blocks.rho * lower, first) / np.add.reduceat(lower, first)
     across, down = np.round(blocks.vector / REPEATED).astype(np.int64).T % 65536
     kinds = np.unique((np.repeat(np.arange(len(first)), size) << 32) + (across << 16) + down)
-    return Outlines(low, high, foot, drop, under, filled, rho, np.bincount(kinds >> 32))
+    turned = np.add.reduceat(blocks.turned, first) / size[:, None]
+    return Outlines(low, high, foot, drop, under, filled, rho, np.bincount(kinds >> 32), turned)
 
 
 def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
@@ -180,7 +188,7 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
         All blocks, in regions or not.
     """
     rate, size, drop = fit.theta[:, RATE], outline.size, outline.drop
-    W = np.linalg.inv(_covariance(fit, rate, size, K))
+    W = np.linalg.inv(_covariance(fit, rate, size, K, outline.turned))
     Wt = W @ t
     information = np.maximum(Wt @ t, 1e-12)
     apparent = np.sum(rate * Wt, axis=1) / information
@@ -302,7 +310,7 @@ def _below_ground(at_foot, sigma, under, share):
     return np.maximum(lacking**2 - 1, 0.0)
 
 
-def _covariance(fit, rate, size, K):
+def _covariance(fit, rate, size, K, turned):
     """Return the covariance (R, 3, 3) of the rates with what their vectors err alike."""
     shift, growth = BIAS / np.diag(K)[:2], BIAS / (0.5 * np.min(size, axis=1))
     # Vectors show the parallax at the centre and the growth: an error of that goes along the ray.
@@ -313,6 +321,9 @@ def _covariance(fit, rate, size, K):
     covariance = fit.covariance[:, RATE, RATE]
     covariance[:, range(3), range(3)] += shape[:, None]
     covariance[:, range(2), range(2)] += shift**2
+    # Where a road has no texture its vectors lag behind a turn, or run ahead of it, all alike.
+    lag = PULL * turned / np.diag(K)[:2]
+    covariance[:, :2, :2] += lag[:, :, None] * lag[:, None, :]
     return covariance + ray[:, :, None] * ray[:, None, :]
 
 

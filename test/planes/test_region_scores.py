@@ -24,12 +24,13 @@ FIRST_ROW = 180.0
 
 
 def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), ground=GROUND,
-          keep=1.0, t=T, below='ground', above=None, copied=0.0, kinds=None):
+          keep=1.0, t=T, below='ground', above=None, copied=0.0, kinds=None, turned=(0.0, 0.0)):
     """Return the score of an upright face at a depth that moves by ``motion`` in the pair.
 
     Blocks below it show the ``ground``, the ``face``'s own depth, ``terrain`` that goes on as
     the face's foot lies, or ``nothing``; those ``above`` it the 'ground' or the 'face'. Of all
-    vectors a share is ``copied``; those of the face are of some ``kinds``, or all differ.
+    vectors a share is ``copied``; those of the face are of some ``kinds``, or all differ; the
+    camera ``turned`` them [px].
     """
     corner = [to_pixels(K, np.array([[*c, depth]]))[0] for c in (low, high)]
     # A block is the face's from a tenth of its height on.
@@ -42,7 +43,8 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     rho = np.sum(apparent * to_rays(K, x_prev)[:, :2] * t[2], axis=1) / np.maximum(
         np.sum(to_rays(K, x_prev)[:, :2]**2, axis=1), 1e-9)
     vector = x if kinds is None else np.c_[np.arange(len(x)) % kinds, np.zeros(len(x))]
-    blocks = Blocks(x, np.full(x.shape, 16.0), vector, rho, np.zeros(1, int))
+    blocks = Blocks(x, np.full(x.shape, 16.0), vector, np.tile(turned, (len(x), 1)), rho,
+                    np.zeros(1, int))
     outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]))
     fit = fit_surfaces(regions, K, np.eye(3), GROUND)
     own = Seen(x, rho, np.full(len(x), 0.002), np.zeros(len(x)), np.zeros(len(x), bool))
@@ -152,6 +154,14 @@ def test_a_standing_camera_sees_any_motion():
     assert score(12.0, ground=None, t=np.zeros(3)) < 0
 
 
+def test_while_the_camera_turns_a_small_share_of_the_turn_is_no_motion():
+    moving = {'depth': 12.0, 'motion': (0.04, 0, 0), 'ground': None, 't': np.zeros(3)}
+    assert score(**moving) > 9
+    assert score(**moving, turned=(40.0, 0.0)) < 2
+    assert score(**moving, turned=(0.0, 40.0)) == score(**moving)  # it errs along the turn
+    assert score(**moving | {'motion': (0.3, 0, 0)}, turned=(40.0, 0.0)) > 9
+
+
 @pytest.mark.parametrize('copied', [0.2, 0.4])
 def test_among_copied_vectors_a_few_kinds_tell_little(copied):
     moving = {'depth': 8.0, 'motion': (0.5, 0, 0), 'copied': copied}
@@ -168,7 +178,8 @@ def test_where_no_vector_is_copied_a_few_kinds_tell_all():
     (4.0, 100.0, BACK)], ids=['a car', 'surely', 'stands', 'surely stands', 'a building'])
 def test_what_has_left_scores_by_its_blocks_and_is_no_building(high, likelihood, expected):
     x = GRID[np.all(np.abs(to_rays(K, GRID)[:, :2] * 12 - (0, HEIGHT - high)) < (1, high), axis=1)]
-    blocks = Blocks(x, np.full(x.shape, 16.0), x, np.full(len(x), 1 / 12), np.zeros(1, int))
+    blocks = Blocks(x, np.full(x.shape, 16.0), x, np.zeros(x.shape), np.full(len(x), 1 / 12),
+                    np.zeros(1, int))
     outline = outlines(blocks, K, GROUND, np.array([0.0, -1.0, 0.0]))
     seen = Seen(x, blocks.rho, 0.1 * blocks.rho, np.zeros(len(x)), np.zeros(len(x), bool))
     assert departures(outline, np.array([likelihood]), seen)[0] == pytest.approx(expected)
