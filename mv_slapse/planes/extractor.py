@@ -105,11 +105,12 @@ class PlaneExtractor:
         ratio = self._ratio(blank, pair[rows], evidence[rows], fit)
         floor, road = self._survey(whole, pair, evidence, lone, fit, ratio)
         free = pairs.spread(free, rows, len(whole.x_cur))
-        rows = np.flatnonzero(~lone | road)
+        left, rows = np.flatnonzero(lone & ~road), np.flatnonzero(~lone | road)
+        left = replace(pairs.only(whole, left), sigma=pair.sigma[left])
         blank, pair, evidence = pairs.only(whole, rows), pair[rows], evidence[rows]
         found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor,
                                                   free[rows], road[rows]))
-        found = self._moving(blank, pair, self._named(found), floor, ratio)
+        found = self._moving(blank, pair, self._named(found), floor, ratio, left)
         found = self._refined(pair, found, floor)
         # Anew, by the motion that the next pair will compare with: its error then cancels.
         ratio = self._ratio(blank, pair, found.evidence, found.fit)
@@ -241,7 +242,7 @@ class PlaneExtractor:
         predicted = (plane.predicted(R, t, log, sigma) for plane in memory.planes)
         return [plane for plane in predicted if plane is not None]
 
-    def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio) -> Found:
+    def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio, lone) -> Found:
         """Find what moves by itself, and take it out of the stationary planes."""
         label, plane_id = _labels(found)
         floor = seen = next((plane.plane for plane in found.planes if plane.is_ground), None)
@@ -256,7 +257,7 @@ class PlaneExtractor:
             shown, floor if rides else None, self._movers, self._settings.moving_score,
             prior.normal if rides else None, departure(
                 self._memory.past_at(blank, fit, ratio), blank,
-                depths_of(pair, blank, found.evidence, _with_depth(found.evidence))))
+                depths_of(pair, blank, found.evidence, _with_depth(found.evidence))), lone)
         shown = replace(shown, planes=tuple(
             plane for plane in shown.planes if plane.label is Label.MOVING))
         still = shown.label != Label.MOVING

@@ -14,9 +14,21 @@ from mv_slapse.geometry import epipolar, moving_plane
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice
+from mv_slapse.planes.lone_vectors import with_lone
 from mv_slapse.planes.mover_memory import FIRST_ID, Memory
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
-from mv_slapse.planes.region_scores import Blocks, departures, outlines, REPEATED, scores, Seen
+from mv_slapse.planes.region_scores import (
+    below_horizon,
+    Blocks,
+    departures,
+    LEAST_DROP,
+    OUTLIER,
+    outlines,
+    REPEATED,
+    scores,
+    Seen,
+    TALLEST,
+)
 from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -24,7 +36,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 REACH = 24.0  # px between centres of neighbours
-ALIKE = (1.0, 0.12)  # px, share of the longer one: by how much neighbours' vectors may differ
+ALIKE = (1.0, 0.12, 0.06)  # px, share of the longer one: by how much neighbours' vectors may
+                           # differ, and this share once the growth by depth is taken off
 ALIKE_SHORT = 0.15  # share of the median vector that the former is at most, down to a half
 INSIDE = 2.5  # times as much within a region
 SAME_PLANE = 0.7  # share of a region and of a plane that they have in common if they are one
@@ -45,7 +58,7 @@ class _Field:
 
     ``ground_like`` blocks move as the ground does and have not left where they stood, ``far`` ones
     above the horizon do not move, ``below`` ones look farther than the ground that they would
-    hide.
+    hide. ``growth`` is what their depth makes the parallax grow by for each px outwards.
     """
 
     x: np.ndarray
@@ -56,10 +69,12 @@ class _Field:
     far: np.ndarray
     below: np.ndarray
     departure: np.ndarray
+    growth: np.ndarray
     plane_id: np.ndarray
     ground: np.ndarray | None
     level: np.ndarray | None
     seen: Seen
+    seen_or_lone: Seen
 
 
 class _Fitted(NamedTuple):
@@ -72,7 +87,8 @@ class _Fitted(NamedTuple):
 
 def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory: Memory,
                        threshold: float, level: np.ndarray | None = None,
-                       departure: np.ndarray | None = None) -> tuple[Extraction, Memory]:
+                       departure: np.ndarray | None = None, lone: Extraction | None = None
+                       ) -> tuple[Extraction, Memory]:
     """Add the moving planes of a pair to what was found stationary in it.
 
     Parameters
@@ -89,6 +105,8 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
         Up in camera k, where the ground is not known.
     departure : (N,) array, optional
         As of planes.past.departure.
+    lone : Extraction, optional
+        Vectors of the pair that no neighbour supports: they tell of the ground below a region.
 
     Returns
     -------
@@ -98,8 +116,8 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
         For the next pair.
     """
     departure = np.zeros(len(extraction.x_cur)) if departure is None else departure
-    motion_field = _motion_field(extraction, ground, level if ground is None else ground,
-                                 departure)
+    level = level if ground is None else ground
+    motion_field = _motion_field(extraction, ground, level, departure, lone)
     members = _alike(motion_field)
     found = _fitted(extraction, motion_field, members)
     score, left, before = memory.inherited(extraction)
@@ -123,7 +141,7 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
             memory.after(extraction, score, left, before, next_id, FADING))
 
 
-def _motion_field(extraction, ground, level, departure):
+def _motion_field(extraction, ground, level, departure, lone):
     """Judge the blocks singly: those on the ground and those without parallax are left out."""
     K, motion = extraction.K, extraction.motion
     R, t = motion.R_cur_from_prev, motion.t_cur_from_prev
@@ -142,9 +160,11 @@ def _motion_field(extraction, ground, level, departure):
     least = FAR if np.any(t) else RESTING
     far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < least)
     below = rho + 2 * noise < BELOW_GROUND * under
+    nearing = np.maximum(-rho * t[2], 0.0)
+    seen = Seen(x, rho, noise, under, _copied(extraction), np.full(len(x), OUTLIER))
     return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far, below,
-                  departure, extraction.plane_id, ground, level,
-                  Seen(x, rho, noise, under, _copied(extraction)))
+                  departure, nearing / (1 + nearing), extraction.plane_id, ground, level, seen,
+                  with_lone(seen, lone, motion, ground))
 
 
 def _copied(extraction):
@@ -181,7 +201,11 @@ def _alike_pairs(motion_field):
     longer = np.maximum(np.linalg.norm(m[a], axis=1), np.linalg.norm(m[b], axis=1))
     # Where all vectors are short a pixel would join the whole scene.
     slack = np.clip(ALIKE_SHORT * np.median(np.linalg.norm(m, axis=1)), 0.5, 1.0) * ALIKE[0]
-    same = np.linalg.norm(m[a] - m[b], axis=1) < slack + ALIKE[1] * longer
+    # What comes near grows: the vectors of one surface differ the more the farther apart they are.
+    growth = np.minimum(motion_field.growth[a], motion_field.growth[b])[:, None]
+    apart, left = (np.linalg.norm(m[a] - m[b] - by * (x[a] - x[b]), axis=1)
+                   for by in (0.0, growth))
+    same = (apart < slack + ALIKE[1] * longer) | (left < slack + ALIKE[2] * longer)
     # A car before a facade may move as it does for a while: what is a plane stays by itself.
     same &= (plane[a] == plane[b]) & ~motion_field.far[a] & ~motion_field.far[b]
     # A car ahead may move as what is far behind it does; but that is not farther than the ground.
@@ -234,7 +258,7 @@ def _scored(extraction, motion_field, found):
                               found.regions.first), extraction.K, motion_field.ground,
                        motion_field.level)
     score = scores(fit, outline, extraction.K, extraction.motion.t_cur_from_prev,
-                   motion_field.seen)
+                   motion_field.seen, motion_field.seen_or_lone)
     leaves = departures(outline, np.add.reduceat(motion_field.departure[at], found.regions.first),
                         motion_field.seen)
     return np.where(fits, score, 0.0), np.where(fits, leaves, 0.0)
@@ -316,6 +340,16 @@ def _named(members, moves, before, next_id):
     return ids, next_id
 
 
+def _low_enough(member, K, motion_field):
+    """Return the blocks of a region that are not higher above its foot than a vehicle is.
+
+    A lamp post before a van may pass for a part of it.
+    """
+    drop = below_horizon(motion_field.x[member], K, motion_field.level)
+    foot = np.max(drop) + lattice.MACROBLOCK / 2
+    return member[drop > (1 - TALLEST) * foot] if LEAST_DROP < foot < np.inf else member
+
+
 def _grown(extraction, motion_field, moving):
     """Add the blocks in and around each moving region that move with its plane, not the ground."""
     free = ~motion_field.ground_like
@@ -326,7 +360,8 @@ def _grown(extraction, motion_field, moving):
         x = motion_field.x[member]
         low, high = x.min(axis=0) - lattice.MACROBLOCK, x.max(axis=0) + lattice.MACROBLOCK
         # Of a car ahead the part near the horizon is never clearly farther than the ground.
-        low[1] -= 0.5 * (high[1] - low[1])
+        if below_horizon(low[None], extraction.K, motion_field.level)[0] > 0:
+            low[1] -= 0.5 * (high[1] - low[1])
         near = np.flatnonzero(free & np.all((motion_field.x >= low) & (motion_field.x <= high),
                                             axis=1))
         H = moving_plane.homography(fit.product, extraction.K, extraction.motion.R_cur_from_prev)
@@ -347,7 +382,8 @@ def _grown(extraction, motion_field, moving):
 def _labelled(extraction, motion_field, planes):
     """Write moving planes {id: (member, plane)} down, over what their blocks were taken for."""
     label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
-    planes = {id_: (member, fit) for id_, (member, fit) in planes.items() if fit is not None}
+    planes = {id_: (_low_enough(member, extraction.K, motion_field), fit)
+              for id_, (member, fit) in planes.items() if fit is not None}
     grown = _grown(extraction, motion_field, planes.values())
     found = []
     for (id_, (_, fit)), member in zip(planes.items(), grown, strict=True):

@@ -37,7 +37,7 @@ CLEARANCE = 0.06  # logarithm of that ratio: what is left when the next is taken
 OUTLIER = 0.05  # density of a wrong vector's depth, to the peak of a right one's
 UNDERBODY = 0.25  # share of the camera's height above the ground where bodies end: 0.4 m of 1.65
 LEAST_REACH = 28.0  # px below a region in which the ground is looked for
-SHOWN = 0.3  # share of this place that ground covers if it is surely there
+SHOWN = 0.15  # share of this place that shows ground that is surely there: fast roads do 0.18
 UNSEEN = 8.0  # largest score of what looks below the ground, where that is not seen
 DEPENDENCE = 2.0  # blocks below or above a region that tell as much as one
 REPEATED = 0.5  # px within which a vector repeats another
@@ -64,6 +64,8 @@ class Seen(NamedTuple):
         Inverse depth of the ground there [1/baseline].
     copied : (M,) bool
         Whether nothing still moves like that, but a neighbour does.
+    stray : (M,) float64
+        Density of a wrong vector's depth, to the peak of a right one's.
     """
 
     x: np.ndarray
@@ -71,6 +73,7 @@ class Seen(NamedTuple):
     sigma: np.ndarray
     under: np.ndarray
     copied: np.ndarray
+    stray: np.ndarray
 
 
 class Blocks(NamedTuple):
@@ -137,6 +140,16 @@ class Outlines(NamedTuple):
         return self.high - self.low + lattice.MACROBLOCK
 
 
+def below_horizon(x: np.ndarray, K: np.ndarray, level: np.ndarray | None) -> np.ndarray:
+    """Return how many rows (N,) pixels (N, 2) lie below the horizon; infinite: unknown.
+
+    ``level`` (3,) is normal to the ground at any length, up.
+    """
+    if level is None or level[1] >= 0:
+        return np.full(len(x), np.inf)
+    return to_rays(K, x) @ level / (level[1] / K[1, 1])
+
+
 def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
              level: np.ndarray | None) -> Outlines:
     """Return the Outlines of regions.
@@ -159,11 +172,8 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
     lowest = (bottom >= np.repeat(edge, size) - 0.5).astype(float)
     across = np.add.reduceat(x[:, 0] * lowest, first) / np.add.reduceat(lowest, first)
     foot = np.stack([across, edge - (0.5 - COVERED) * lattice.MACROBLOCK], axis=1)
-    rays, area = to_rays(K, foot), np.add.reduceat(block.prod(axis=1), first)
-    under = np.zeros(len(first)) if ground is None else -rays @ ground
-    drop = np.full(len(first), np.inf)
-    if level is not None and level[1] < 0:
-        drop = rays @ level / (level[1] / K[1, 1])
+    area, drop = np.add.reduceat(block.prod(axis=1), first), below_horizon(foot, K, level)
+    under = np.zeros(len(first)) if ground is None else -to_rays(K, foot) @ ground
     low, high = np.minimum.reduceat(x, first), np.maximum.reduceat(x, first)
     filled = area / np.prod(high - low + lattice.MACROBLOCK, axis=1)
     lower = (bottom > np.repeat(edge, size) - FOOT_HEIGHT).astype(float)
@@ -174,8 +184,8 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
     return Outlines(low, high, foot, drop, under, filled, rho, np.bincount(kinds >> 32), turned)
 
 
-def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
-           seen: Seen) -> np.ndarray:
+def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen: Seen,
+           seen_or_lone: Seen) -> np.ndarray:
     """Return squared distances (R,) of regions from all that is still, less what noise gives.
 
     Parameters
@@ -186,6 +196,8 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
         Intrinsics [px]; translation of the camera, the unit of length.
     seen : Seen
         All blocks, in regions or not.
+    seen_or_lone : Seen
+        The same with those whose vector no neighbour supports.
     """
     rate, size, drop = fit.theta[:, RATE], outline.size, outline.drop
     W = np.linalg.inv(_covariance(fit, rate, size, K, outline.turned))
@@ -205,7 +217,8 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
     farthest = np.maximum(at_foot, outline.rho)
     below = stands * small * _below_ground(farthest, sigma, outline.under, share)
     for i in np.flatnonzero(below > 0):
-        seen_there = _ground_below(outline, i, max(farthest[i], 0) / outline.under[i], seen)
+        seen_there = _ground_below(outline, i, max(farthest[i], 0) / outline.under[i],
+                                   seen_or_lone)
         below[i] = min(below[i], max(UNSEEN + seen_there, 0.0))
     distance += below
     at_foot = np.minimum(at_foot, outline.rho)
@@ -218,7 +231,7 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray,
     distance[scattered] = np.minimum(distance[scattered], 0.0)
     for i in np.flatnonzero(stands & _may_hover(outline)
                             & (at_foot >= LEAST_RATIO * outline.under)):
-        hovers = _hovers(outline, i, at_foot[i], sigma[i], seen)
+        hovers = _hovers(outline, i, at_foot[i], sigma[i], seen_or_lone)
         # An oncoming car follows the lines of what stands still: that it does tells nothing then.
         distance[i] = hovers + (max(distance[i], 0.0) if hovers > 0 else distance[i])
     # Nothing that a robot could meet ends above the horizon, higher than its camera: what a
@@ -343,7 +356,7 @@ def _body_above(outline, i, seen):
     at = np.flatnonzero(across & above & (seen.x[:, 1] > highest) & (seen.under > 0))
     under, near = seen.under[at], outline.rho[i]
     sigma = np.hypot(seen.sigma[at], GROUND_SIGMA * np.maximum(under, near))
-    ground, region = (np.log(np.exp(-0.5 * ((seen.rho[at] - rho) / sigma)**2) + OUTLIER)
+    ground, region = (np.log(np.exp(-0.5 * ((seen.rho[at] - rho) / sigma)**2) + seen.stray[at])
                       for rho in (under, near))
     return 2 * float(np.sum(region - ground)) / DEPENDENCE
 
@@ -365,7 +378,7 @@ def _ground_below(outline, i, ratio, seen):
     under = seen.under[at]
     near = ratio * (outline.under[i] if ratio > 1 else under)
     sigma = np.hypot(seen.sigma[at], GROUND_SIGMA * np.maximum(under, near))
-    ground, region = (np.log(np.exp(-0.5 * ((seen.rho[at] - rho) / sigma)**2) + OUTLIER)
+    ground, region = (np.log(np.exp(-0.5 * ((seen.rho[at] - rho) / sigma)**2) + seen.stray[at])
                       for rho in (under, near))
     # The road must show itself on some of the place.
     shown = np.sum(ground > region) * lattice.MACROBLOCK**2 / (outline.size[i, 0] * reach)

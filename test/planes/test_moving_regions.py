@@ -163,6 +163,78 @@ def test_what_ends_above_the_horizon_does_not_move_with_what_is_beside_it():
     assert not np.any(found.label[above] == Label.MOVING)
 
 
+def with_own_vectors(pair, own, vector):
+    """Return a pair in which some blocks (N,) bool come from elsewhere, and a memory of movers.
+
+    ``vector`` (N, 2) or (2,) is what they move by [px]; they have scored THRESHOLD already.
+    """
+    x = pair.x_cur.astype(float)
+    pair = replace(pair, x_prev=np.where(own[:, None], x - vector, pair.x_prev).astype(np.float32),
+                   label=np.where(own, 0, pair.label).astype(np.int8))
+    return pair, Memory(0, x=pair.x_prev.astype(float), block=pair.block.astype(float),
+                        velocity=np.zeros_like(x), score=np.where(own, THRESHOLD, 0.0),
+                        left=np.zeros(len(x)), id=np.full(len(x), -1),
+                        seen=np.zeros(len(x), int))
+
+
+def test_a_car_that_comes_near_is_one_region_though_its_vectors_differ():
+    pair, car, _, ground = behind_a_car_of_the_same_speed(1)
+    x = pair.x_cur.astype(float)
+    own = car & (x[:, 0] > 320) & (x[:, 1] < 240)
+    pair, memory = with_own_vectors(pair, own, 0.2 * (x - (320, 180)))
+    found, _ = with_moving_planes(pair, ground, memory, THRESHOLD / 2)
+    assert np.mean(found.label[own] == Label.MOVING) == 1.0
+    assert len(np.unique(found.plane_id[own])) == 1
+
+
+def test_lone_vectors_on_the_road_tell_that_what_seems_near_comes_near():
+    pair, car, trees, ground = behind_a_car_of_the_same_speed(1)
+    road, x = ~car & ~trees, pair.x_cur.astype(float)
+    rho = 1.8 * (290 - 180) / 700 / 1.65  # as if it stood nearer than where its foot is
+    pair, _ = with_own_vectors(pair, car, rho / (1 + rho) * (x - (320, 180)))
+
+    def score(lone, off=0.0):
+        parts = [replace(pair, **{name: getattr(pair, name)[rows] for name in (
+            'x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')}) for rows in (~road, road)]
+        parts[1] = replace(parts[1], x_prev=parts[1].x_prev + np.float32([off, -off]))
+        memory = with_moving_planes(parts[0], ground, Memory(), THRESHOLD,
+                                    lone=parts[1] if lone else None)[1]
+        return np.mean(memory.score[car[~road]])
+
+    assert score(False) < 0 < 5 < score(True)
+    assert score(True, off=20.0) == pytest.approx(score(False), abs=1)
+
+
+def test_what_is_higher_than_any_vehicle_is_no_part_of_one():
+    pair, car, trees, ground = behind_a_car_of_the_same_speed(1)
+    x = pair.x_cur.astype(float)
+    post = trees & (np.abs(x[:, 0] - 320) < 20)  # from row 64 down to the car
+    high = post & (x[:, 1] < 73)  # as high above the horizon as the car's foot is below it
+    low = post & (x[:, 1] > 90)
+    assert high.any()
+    pair, memory = with_own_vectors(pair, car | post, np.array([8.0, 0.0]))
+    found, _ = with_moving_planes(pair, ground, memory, THRESHOLD)
+    assert np.mean(found.label[low] == Label.MOVING) == 1.0
+    assert not np.any(found.label[high] == Label.MOVING)
+
+
+@pytest.mark.parametrize('top', [150, 215])
+def test_above_a_mover_more_of_it_is_looked_for_only_where_the_horizon_may_hide_it(top):
+    pair, car, trees, ground = behind_a_car_of_the_same_speed(1)
+    x = pair.x_cur.astype(float)
+    beside = np.abs(x[:, 0] - 320) < 60
+    own = (car | trees) & beside & (x[:, 1] > top)
+    apart = (car | trees) & beside & (x[:, 1] < top - 24) & (x[:, 1] > top - 56)
+    pair, memory = with_own_vectors(pair, own | apart, np.array([8.0, 0.0]))
+    kept = own | apart | ~beside  # nothing joins the two
+    rows = {name: getattr(pair, name)[kept] for name in (
+        'x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')}
+    memory = replace(memory, score=np.where(own, THRESHOLD, 0.0))
+    found, _ = with_moving_planes(replace(pair, **rows), ground, memory, THRESHOLD)
+    assert np.all(found.label[own[kept]] == Label.MOVING)
+    assert np.all((found.label[apart[kept]] == Label.MOVING) == (top > 180))
+
+
 @pytest.mark.parametrize('copied', [False, True])
 def test_what_moves_as_copied_vectors_do_is_no_car(rng, copied):
     memory = Memory()

@@ -2,11 +2,13 @@
 
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry.camera import to_pixels, to_rays
+from mv_slapse.planes.lone_vectors import LONE_OUTLIER
 from mv_slapse.planes.moving import fit_surfaces, Regions
 from mv_slapse.planes.region_scores import (
     BACK,
     Blocks,
     departures,
+    OUTLIER,
     outlines,
     scores,
     Seen,
@@ -24,13 +26,14 @@ FIRST_ROW = 180.0
 
 
 def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), ground=GROUND,
-          keep=1.0, t=T, below='ground', above=None, copied=0.0, kinds=None, turned=(0.0, 0.0)):
+          keep=1.0, t=T, below='ground', above=None, copied=0.0, kinds=None, turned=(0.0, 0.0),
+          lone=None):
     """Return the score of an upright face at a depth that moves by ``motion`` in the pair.
 
     Blocks below it show the ``ground``, the ``face``'s own depth, ``terrain`` that goes on as
-    the face's foot lies, or ``nothing``; those ``above`` it the 'ground' or the 'face'. Of all
-    vectors a share is ``copied``; those of the face are of some ``kinds``, or all differ; the
-    camera ``turned`` them [px].
+    the face's foot lies, or ``nothing``, and so do ``lone`` vectors; those ``above`` it the
+    'ground' or the 'face'. Of all vectors a share is ``copied``; those of the face are of some
+    ``kinds``, or all differ; the camera ``turned`` them [px].
     """
     corner = [to_pixels(K, np.array([[*c, depth]]))[0] for c in (low, high)]
     # A block is the face's from a tenth of its height on.
@@ -47,13 +50,25 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
                     np.zeros(1, int))
     outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]))
     fit = fit_surfaces(regions, K, np.eye(3), GROUND)
-    own = Seen(x, rho, np.full(len(x), 0.002), np.zeros(len(x)), np.zeros(len(x), bool))
+    own = seen_as(x, rho, np.zeros(len(x)))
     parts = [own, seen_below(outline, rho.mean(), below, ground)]
     if above is not None:
         parts.append(seen_above(outline, rho.mean(), above, ground))
     seen = Seen(*map(np.concatenate, zip(*parts, strict=True)))
     copies = np.random.default_rng(1).uniform(size=len(seen.x)) < copied
-    return scores(fit, outline, K, t, seen._replace(copied=copies))[0]
+    seen = seen._replace(copied=copies)
+    if lone is None:
+        return scores(fit, outline, K, t, seen, seen)[0]
+    strays = seen_below(outline, rho.mean(), lone, ground)
+    strays = strays._replace(stray=np.full(len(strays.x), LONE_OUTLIER))
+    every = Seen(*map(np.concatenate, zip(seen, strays, strict=True)))
+    return scores(fit, outline, K, t, seen, every)[0]
+
+
+def seen_as(x, rho, under):
+    """Return blocks with exact inverse depths, none of them copied or lone."""
+    n = len(x)
+    return Seen(x, rho, np.full(n, 0.002), under, np.zeros(n, bool), np.full(n, OUTLIER))
 
 
 def seen_below(outline, rho, below, ground):
@@ -63,8 +78,7 @@ def seen_below(outline, rho, below, ground):
     shown = {'ground': under, 'face': np.full(len(x), rho), 'nothing': under,
              'terrain': under * rho / max(outline.under[0], 1e-9)}[below]
     kept = slice(None, 0 if below == 'nothing' else None)
-    return Seen(x[kept], shown[kept], np.full(len(x), 0.002)[kept], under[kept],
-                np.zeros(len(x), bool)[kept])
+    return seen_as(x[kept], shown[kept], under[kept])
 
 
 def seen_above(outline, rho, above, ground):
@@ -72,7 +86,7 @@ def seen_above(outline, rho, above, ground):
     x = GRID[(GRID[:, 1] > FIRST_ROW) & (GRID[:, 1] < outline.low[0, 1])]
     under = -to_rays(K, x) @ ground
     shown = under if above == 'ground' else np.full(len(x), rho)
-    return Seen(x, shown, np.full(len(x), 0.002), under, np.zeros(len(x), bool))
+    return seen_as(x, shown, under)
 
 
 @pytest.mark.parametrize('depth', [8.0, 14.0, 20.0])
@@ -94,6 +108,14 @@ def test_what_goes_on_below_its_outline_stands_there():
 def test_what_seems_to_hover_needs_ground_below_that_is_seen():
     assert score(12.0, (0, 0, -1.5)) > score(12.0, (0, 0, -1.5), below='nothing') + 7
     assert score(12.0, (0, 0, -1.5), below='nothing') < 2
+
+
+def test_lone_vectors_tell_of_the_ground_below_too_but_less():
+    oncoming = {'depth': 12.0, 'motion': (0, 0, -1.5)}
+    none, lone, all_ = (score(**oncoming, below=below, lone=other) for below, other in (
+        ('nothing', None), ('nothing', 'ground'), ('ground', None)))
+    assert none + 3 < lone <= all_
+    assert score(**oncoming, below='nothing', lone='face') < none
 
 
 def test_a_body_ends_above_the_ground_that_it_stands_on():
@@ -181,5 +203,5 @@ def test_what_has_left_scores_by_its_blocks_and_is_no_building(high, likelihood,
     blocks = Blocks(x, np.full(x.shape, 16.0), x, np.zeros(x.shape), np.full(len(x), 1 / 12),
                     np.zeros(1, int))
     outline = outlines(blocks, K, GROUND, np.array([0.0, -1.0, 0.0]))
-    seen = Seen(x, blocks.rho, 0.1 * blocks.rho, np.zeros(len(x)), np.zeros(len(x), bool))
+    seen = seen_as(x, blocks.rho, np.zeros(len(x)))._replace(sigma=0.1 * blocks.rho)
     assert departures(outline, np.array([likelihood]), seen)[0] == pytest.approx(expected)
