@@ -124,7 +124,9 @@ def departure(past: Past, extraction: Extraction, depths: Depths) -> np.ndarray:
     sure = FARTHER + SIGMAS * depths.sigma / rho
     inside, least = (np.log(values[at] / rho) for values in past.seen(
         extraction.stamp, extraction.K, size))
-    left = known & (inside > sure) & (inside < AWAY) & (least > 0)
+    # Near things outgrow what was seen of them: between its points the farthest around counts.
+    far = np.where(np.isnan(inside), least, inside)
+    left = known & (far > sure) & (far < AWAY) & (least > 0)
     grid = np.zeros(grid_shape(*size)[::-1], bool)
     grid.ravel()[at[left]] = True
     left &= _around(grid).ravel()[at] >= LEAST_LEFT

@@ -44,12 +44,12 @@ def extraction_at(stamp):
                       plane_id=np.full(n, -1))
 
 
-def drive(depth, pairs=6, rng=None):
+def drive(depth, pairs=6, rng=None, kept=slice(None)):
     """Return the Past of a face that stands at a depth after some pairs, and the last stamp."""
     past = Past()
     for k in range(pairs):
         past = past.carried(k * PERIOD, np.eye(3), AHEAD, 0.0)
-        past = past.noted(k * PERIOD, seen(depth + pairs - 1 - k, rng=rng)[0])
+        past = past.noted(k * PERIOD, seen(depth + pairs - 1 - k, rng=rng)[0][kept])
     return past, (pairs - 1) * PERIOD
 
 
@@ -79,6 +79,13 @@ def test_what_goes_away_has_departed_but_not_what_is_behind_it(rng):
     found = judged(*drive(15.0, rng=rng), depths)
     assert np.mean(found[on] > 0) > 0.3  # all but its outline
     assert not np.any(found[~on] > 0)
+
+
+def test_between_the_points_of_what_came_near_those_around_tell():
+    depths, on = seen(14.0, 1.2)
+    every_other = np.sum(CENTRES // 16, axis=1) % 2 == 0
+    found = judged(*drive(15.0, kept=every_other), depths)
+    assert np.mean(found[on] > 0) > 0.15
 
 
 def test_an_edge_is_no_departure(rng):
