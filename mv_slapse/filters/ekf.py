@@ -69,6 +69,24 @@ class State:
                 self._blocks[other] = slice(at.start - size, at.stop - size)
 
 
+def consider(state: State, H: np.ndarray, column: int) -> np.ndarray:
+    """Make what is not known of H mu (n,) an error that lasts; return what such do to it (m,).
+
+    The column must be empty. The covariance in all stays the same.
+    """
+    gone = state.P @ H
+    sigma = np.sqrt(H @ gone)
+    state.lasting[:, column] = gone / sigma
+    state.P = _symmetric(state.P - np.outer(gone, gone) / sigma**2)
+    return H @ state.lasting
+
+
+def estimate_again(state: State, column: int):
+    """Make an error that lasts one that is estimated again; the covariance in all stays."""
+    state.P = state.P + np.outer(state.lasting[:, column], state.lasting[:, column])
+    state.lasting[:, column] = 0
+
+
 def predict(state: State, mu: np.ndarray, F: np.ndarray, Q: np.ndarray):
     """Move the state to its predicted mean mu = f(state.mu), where F = df/dmu at state.mu."""
     state.mu = mu

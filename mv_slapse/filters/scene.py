@@ -17,11 +17,12 @@ from mv_slapse.filters import (
     scene_state,
     scene_update,
 )
-from mv_slapse.filters.scene_noise import Agreement, Dependence, HeightWander
+from mv_slapse.filters.scene_noise import Agreement, Dependence
 from mv_slapse.filters.scene_observations import Observe
 from mv_slapse.filters.scene_progress import Progress
+from mv_slapse.filters.scene_ride import Ride
 from mv_slapse.filters.scene_speed import Way
-from mv_slapse.filters.scene_state import Pose, SceneState
+from mv_slapse.filters.scene_state import SceneState
 from mv_slapse.filters.speed_log import SpeedLog
 from mv_slapse.geometry import rotation, two_view
 from mv_slapse.records import (
@@ -66,7 +67,7 @@ class SceneFilter:
         self._progress = Progress(0)
         self._map = scene_map.SceneMap()
         self.distances: dict[int, float] = {}
-        self._height, self._agreement = HeightWander(), Agreement()
+        self._ride, self._agreement = Ride(), Agreement()
         self._dependence = Dependence(settings.dependence)
         self._speeds = SpeedLog()
 
@@ -124,6 +125,11 @@ class SceneFilter:
         self._predict(dt)
         return self._correct(extraction, follows)
 
+    @property
+    def _is_tied(self) -> bool:
+        """Whether more than the map tells lengths: metres, or a height that stays."""
+        return self._progress.metric or self._ride.height > 0
+
     def _elapsed(self, stamp: int) -> float:
         """Return the time [s] since the last key frame; as usual where a clock was set back."""
         progress = self._progress
@@ -154,7 +160,7 @@ class SceneFilter:
         for id in list(self._state.planes):
             self._map.leave(self._state, id)
             self._state.remove_plane(id)
-        scene_gauge.begin_anew(self._state, self._progress.metric)
+        scene_gauge.begin_anew(self._state, self._is_tied)
         self._progress.anew = self._progress.started
 
     def _stand(self, extraction: Extraction):
@@ -205,8 +211,8 @@ class SceneFilter:
         scene_state.propagate(state, dt, density, settings.angular_acceleration,
                               settings.turn_rate)
         self._sway(dt)
-        if self._progress.metric:
-            # Where the scale is free the planes alone carry it, and stay as they are.
+        if self._is_tied:
+            # Where nothing else carries the scale the planes do, and stay as they are.
             for id in state.planes:
                 scene_state.renew(state, id, settings.relief)
         ground = self._map.ground
@@ -253,10 +259,11 @@ class SceneFilter:
         first = not self._progress.started or self._progress.anew
         turn = float(np.linalg.norm(rotation.log(extraction.motion.R_cur_from_prev)))
         way = self._way(extraction.previous_stamp, turn)
+        self._ride = self._ride.kept(self._state, extraction.motion)
         self._progress.anew, baseline = False, self._baseline(extraction, way)
         pair, plane_id = scene_input.stationary(extraction)
         settings = self._measured(pair, extraction)
-        shown = self._shown(extraction, baseline)
+        shown = scene_input.shown(self._state.previous, extraction.motion, baseline)
         expected = replace(self._state, current=shown) if self._progress.rested else self._state
         known = self._known(scene_gate.distances(expected, extraction, settings))
         trusted = self._trusted(extraction, known)
@@ -268,7 +275,8 @@ class SceneFilter:
         ratio = self._ratio(extraction, settings) if follows and self._progress.carried else []
         if ratio:
             # Braking hard, a step from the length predicted would go beyond zero, and backwards.
-            shown = self._shown(extraction, float(np.exp(self._state.depth_scale)))
+            shown = scene_input.shown(self._state.previous, extraction.motion,
+                                      float(np.exp(self._state.depth_scale)))
         start = self._state.error_to(replace(self._state, current=shown))
         observations = [*self._rigid(ground), *self._gauge(baseline, first, way), *ratio]
         self._state = scene_update.update(
@@ -278,7 +286,7 @@ class SceneFilter:
                 self._state, settings.ratio_sigma)
         if first or self._progress.rested:
             scene_state.doubt_speed(self._state)
-        self._height = self._height.seen(self._state, extraction, settings)
+        self._ride = self._ride.seen(self._state, extraction, ground, settings)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
         if first or known or (ratio or way) and not self.distances:
@@ -319,7 +327,7 @@ class SceneFilter:
                 self._make_metric(way.length / max(guess, 1e-9), scene_speed.SOURCE)
             return way.length
         if progress.rested:
-            height = progress.metric * settings.camera_height
+            height = progress.metric * settings.camera_height or self._ride.height
             slow = SLOW * progress.fastest * (extraction.stamp - extraction.previous_stamp) * 1e-9
             return scene_rest.first_baseline(self._state, extraction, height) or max(guess, slow)
         if not progress.metric and settings.camera_height and ground is not None:
@@ -339,16 +347,10 @@ class SceneFilter:
             scene_state.scale_lengths(self._state, factor)
             self._progress.fastest *= factor
             self._map.scale(factor)
+            self._ride = self._ride.scaled(factor)
             scene_state.widen_scale(self._state, FIRST_METRIC_SIGMA)
         scene_gauge.doubt_scale(self._state, 0.0)
         self._progress.source = source
-
-    def _shown(self, extraction: Extraction, baseline: float) -> Pose:
-        """Return the pose that the pair shows, about which to linearise first."""
-        previous, motion = self._state.previous, extraction.motion
-        R_world_from_cam = previous.R @ motion.R_cur_from_prev.T
-        return Pose(R_world_from_cam,
-                    previous.t - R_world_from_cam @ motion.t_cur_from_prev * baseline)
 
     def _measured(self, pair: two_view.Pair, extraction: Extraction) -> SceneSettings:
         """Return the settings with what the stream has shown of its noise."""
@@ -382,15 +384,12 @@ class SceneFilter:
             return [scene_speed.observed(way, self._settings)]
         if not (first or progress.rested):
             return []
-        sigma = REST_SIGMA if progress.rested or progress.metric else 1e-3
+        sigma = REST_SIGMA if progress.rested or self._is_tied else 1e-3
         return [partial(scene_observations.baseline, length=baseline, sigma=sigma)]
 
     def _rigid(self, ground: int | None) -> list[Observe]:
         """Return what is known of a mounted camera."""
-        settings = self._settings
-        if settings.camera_height and ground is not None:
-            return scene_observations.mounted(ground, settings, self._height.lasting(settings))
-        return []
+        return [] if ground is None else self._ride.observations(ground, self._settings)
 
     def _forget(self, stamp: int):
         """Marginalise planes out that have had no support for long, unless they may return."""

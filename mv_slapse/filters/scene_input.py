@@ -1,9 +1,10 @@
-"""What of an extraction corrects the scene."""
+"""What an extraction tells the scene filter: correspondences that count, the pose they show."""
 
+from mv_slapse.filters.scene_state import Pose
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.blocks import macroblock_of
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.records import Extraction, Label
+from mv_slapse.records import CameraMotion, Extraction, Label
 import numpy as np
 from scipy import ndimage
 
@@ -56,3 +57,10 @@ def _cells(extraction: Extraction) -> tuple[np.ndarray, np.ndarray]:
     """Return the macroblock of each block, counted from the first: two (N,) int arrays."""
     cell = macroblock_of(extraction.x_cur)
     return tuple((cell - cell.min(axis=0, initial=0)).T)
+
+
+def shown(previous: Pose, motion: CameraMotion, baseline: float) -> Pose:
+    """Return the pose that a pair shows after the previous one, its way so long [map unit]."""
+    R_world_from_cam = previous.R @ motion.R_cur_from_prev.T
+    return Pose(R_world_from_cam,
+                previous.t - R_world_from_cam @ motion.t_cur_from_prev * baseline)

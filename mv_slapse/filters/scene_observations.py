@@ -39,11 +39,11 @@ class Observation(NamedTuple):
 Observe = Callable[[SceneState], Observation]
 
 
-def mounted(ground: int, settings: SceneSettings, lasting: float) -> list[Observe]:
+def mounted(ground: int, settings: SceneSettings, lasting: np.ndarray) -> list[Observe]:
     """Return what is known of a camera that is mounted on a ground vehicle.
 
-    ``ground`` is the plane it drives on, ``lasting`` the share of its height that is wrong for
-    good.
+    ``ground`` is the plane it drives on, ``lasting`` (N_LASTING,) what errors that last do to its
+    height, as shares of it.
     """
     height = settings.camera_height
     return [partial(camera_height, ground=ground, height=height, sigma=PAIR_HEIGHT * height,
@@ -53,7 +53,7 @@ def mounted(ground: int, settings: SceneSettings, lasting: float) -> list[Observ
 
 
 def camera_height(state: SceneState, ground: int, height: float, sigma: float,
-                  lasting: float = 0.0) -> Observation:
+                  lasting: np.ndarray | float = 0.0) -> Observation:
     """Observe the camera's height [m] above the ground plane, which sets the scale.
 
     The height swings about its mean (see SceneState.heave).
@@ -63,8 +63,8 @@ def camera_height(state: SceneState, ground: int, height: float, sigma: float,
     state, ground : SceneState, int
     height, sigma : float
         The mean height and the error of one pair [m].
-    lasting : float
-        The part of the height [m] that is wrong for good.
+    lasting : (N_LASTING,) array or float
+        What each lasting error does to the height [m]; a float: what of it is wrong for good.
     """
     plane = plane_in_camera(state, ground)
     by_pose, by_plane = plane_in_camera_jacobian(state, ground)
@@ -75,7 +75,7 @@ def camera_height(state: SceneState, ground: int, height: float, sigma: float,
     H[0, state.at(ground)] = by_camera_plane @ by_plane
     H[0, state.at('heave')] = -height
     error = np.zeros((1, N_LASTING))
-    error[0, HEIGHT] = lasting
+    error[0, slice(None) if np.ndim(lasting) else HEIGHT] = lasting
     innovation = np.array([height * (1 + state.heave) - depth])
     return Observation(innovation, H, np.eye(1) * sigma**2, error)
 

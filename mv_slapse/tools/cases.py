@@ -51,8 +51,9 @@ FLIGHTS = {'flight, wide lens': (WIDE, FlightSettings(n_frames=250)),
            'flight, fisheye': (FISHEYE, FlightSettings(n_frames=250, seed=1)),
            'flight, fast': (WIDE, FlightSettings(n_frames=150, seed=2, speed=4.0))}
 LOSSES = {'kitti00, 2 s lost': HEIGHTS['kitti00'], 'kitti00, 2 s lost, free scale': 0.0}
-GIVEN = 'speed given, '
+GIVEN, FREE = 'speed given, ', 'free scale, '
 TOLD = ('kitti00/', 'kitti00, 2 s lost/', 'flight, wide lens/')  # rows with a speed, too
+UNTOLD = ('kitti00/',)  # rows without their height, too
 LOST = range(80, 100)  # packets of 10 Hz; the road turns meanwhile
 GUESSED_FOCAL = 0.8  # of the width, where nobody knows the lens
 
@@ -120,10 +121,12 @@ def lossy(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
                            source / 'ground_truth.tum')
 
 
-def with_speeds(given: Iterable[Case], seed: int = 0) -> Iterator[Case]:
-    """Yield cases, and some once more with a speed as wheels would tell it, but no height."""
+def otherwise_scaled(given: Iterable[Case], seed: int = 0) -> Iterator[Case]:
+    """Yield cases, and some once more without their height, or with a speed in its place."""
     for case in given:
         yield case
+        if case.name.startswith(UNTOLD):
+            yield replace(case, name=FREE + case.name, height=0.0)
         if case.name.startswith(TOLD):
             truth = case.ground_truth
             truth = read_trajectory(truth / 'ground_truth.tum' if truth.is_dir() else truth)

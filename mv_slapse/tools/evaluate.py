@@ -88,7 +88,7 @@ def page(measured: dict[str, dict[str, Any]], commit: str) -> str:
         'from where it stopped; planes: true ones that were found; on one: observations of planes '
         'four fifths of whose macroblocks lie on one true plane; CPU: of all stages, for each '
         'frame of the video. Speed given: `--speed` with a speed drawn from the truth, 1 % '
-        'noise, in place of the height.\n\n'
+        'noise, in place of the height; free scale: neither.\n\n'
         f'{_table(measured, COLUMNS)}\n'
         '## Moving obstacles\n\n'
         'In time: passages of movers of at least 6 macroblocks met by a confirmed obstacle '
@@ -115,15 +115,15 @@ def commit_of(folder: Path) -> str:
 
 def all_cases(options: argparse.Namespace, folder: Path) -> Iterator[Case]:
     """Yield what the options ask for, in the order of the page."""
-    only = options.only.removeprefix(cases.GIVEN)
+    only = options.only.removeprefix(cases.GIVEN).removeprefix(cases.FREE)
     if options.data.is_dir():
-        yield from cases.with_speeds(cases.sequences(options.data))
+        yield from cases.otherwise_scaled(cases.sequences(options.data))
         yield from cases.cameraless(options.data)
         yield from cases.recoded(options.data, folder, only)
-        yield from cases.with_speeds(cases.lossy(options.data, folder, only))
+        yield from cases.otherwise_scaled(cases.lossy(options.data, folder, only))
     yield from cases.streets(folder, options.streets, options.frames, only)
     yield from cases.drives(folder, only)
-    yield from cases.with_speeds(cases.flights(folder, only))
+    yield from cases.otherwise_scaled(cases.flights(folder, only))
 
 
 def main(arguments: list[str] | None = None) -> int:

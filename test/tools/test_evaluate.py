@@ -89,13 +89,14 @@ def test_lost_packets_leave_a_gap_in_the_stamps(data, tmp_path, monkeypatch):
     np.testing.assert_allclose(stamps, 1e8 * np.array(expected), atol=1e3)
 
 
-def test_some_rows_come_twice_with_a_speed_in_place_of_the_height(tmp_path):
+def test_some_rows_come_again_without_a_height_and_with_a_speed_in_its_place(tmp_path):
     poses = [(i * 10**8, np.eye(3), np.array([0.0, 0.0, 0.5 * i])) for i in range(5)]
     write_poses(tmp_path / 'truth.tum', poses)
     given = [cases.Case(name, tmp_path, CAMERA, 1.65, tmp_path / 'truth.tum')
              for name in ('kitti00/a.mp4', 'parking/a.mp4')]
-    first, told, last = cases.with_speeds(given)
+    first, free, told, last = cases.otherwise_scaled(given)
     assert [first, last] == given
+    assert (free.name, free.height, free.speeds) == ('free scale, kitti00/a.mp4', 0.0, ())
     assert (told.name, told.height) == ('speed given, kitti00/a.mp4', 0.0)
     np.testing.assert_allclose([speed.value for speed in told.speeds], 5.0, rtol=0.05)
     assert [speed.stamp for speed in told.speeds] == [stamp for stamp, _, _ in poses]
