@@ -18,16 +18,13 @@ from mv_slapse.planes.lone_vectors import with_lone
 from mv_slapse.planes.mover_memory import FIRST_ID, Memory
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
 from mv_slapse.planes.region_scores import (
-    below_horizon,
     Blocks,
     departures,
-    LEAST_DROP,
     OUTLIER,
     outlines,
     REPEATED,
     scores,
     Seen,
-    TALLEST,
 )
 from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
@@ -340,16 +337,6 @@ def _named(members, moves, before, next_id):
     return ids, next_id
 
 
-def _low_enough(member, K, motion_field):
-    """Return the blocks of a region that are not higher above its foot than a vehicle is.
-
-    A lamp post before a van may pass for a part of it.
-    """
-    drop = below_horizon(motion_field.x[member], K, motion_field.level)
-    foot = np.max(drop) + lattice.MACROBLOCK / 2
-    return member[drop > (1 - TALLEST) * foot] if LEAST_DROP < foot < np.inf else member
-
-
 def _grown(extraction, motion_field, moving):
     """Add the blocks in and around each moving region that move with its plane, not the ground."""
     free = ~motion_field.ground_like
@@ -360,8 +347,7 @@ def _grown(extraction, motion_field, moving):
         x = motion_field.x[member]
         low, high = x.min(axis=0) - lattice.MACROBLOCK, x.max(axis=0) + lattice.MACROBLOCK
         # Of a car ahead the part near the horizon is never clearly farther than the ground.
-        if below_horizon(low[None], extraction.K, motion_field.level)[0] > 0:
-            low[1] -= 0.5 * (high[1] - low[1])
+        low[1] -= 0.5 * (high[1] - low[1])
         near = np.flatnonzero(free & np.all((motion_field.x >= low) & (motion_field.x <= high),
                                             axis=1))
         H = moving_plane.homography(fit.product, extraction.K, extraction.motion.R_cur_from_prev)
@@ -382,8 +368,7 @@ def _grown(extraction, motion_field, moving):
 def _labelled(extraction, motion_field, planes):
     """Write moving planes {id: (member, plane)} down, over what their blocks were taken for."""
     label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
-    planes = {id_: (_low_enough(member, extraction.K, motion_field), fit)
-              for id_, (member, fit) in planes.items() if fit is not None}
+    planes = {id_: (member, fit) for id_, (member, fit) in planes.items() if fit is not None}
     grown = _grown(extraction, motion_field, planes.values())
     found = []
     for (id_, (_, fit)), member in zip(planes.items(), grown, strict=True):

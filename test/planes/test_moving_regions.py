@@ -205,36 +205,6 @@ def test_lone_vectors_on_the_road_tell_that_what_seems_near_comes_near():
     assert score(True, off=20.0) == pytest.approx(score(False), abs=1)
 
 
-def test_what_is_higher_than_any_vehicle_is_no_part_of_one():
-    pair, car, trees, ground = behind_a_car_of_the_same_speed(1)
-    x = pair.x_cur.astype(float)
-    post = trees & (np.abs(x[:, 0] - 320) < 20)  # from row 64 down to the car
-    high = post & (x[:, 1] < 73)  # as high above the horizon as the car's foot is below it
-    low = post & (x[:, 1] > 90)
-    assert high.any()
-    pair, memory = with_own_vectors(pair, car | post, np.array([8.0, 0.0]))
-    found, _ = with_moving_planes(pair, ground, memory, THRESHOLD)
-    assert np.mean(found.label[low] == Label.MOVING) == 1.0
-    assert not np.any(found.label[high] == Label.MOVING)
-
-
-@pytest.mark.parametrize('top', [150, 215])
-def test_above_a_mover_more_of_it_is_looked_for_only_where_the_horizon_may_hide_it(top):
-    pair, car, trees, ground = behind_a_car_of_the_same_speed(1)
-    x = pair.x_cur.astype(float)
-    beside = np.abs(x[:, 0] - 320) < 60
-    own = (car | trees) & beside & (x[:, 1] > top)
-    apart = (car | trees) & beside & (x[:, 1] < top - 24) & (x[:, 1] > top - 56)
-    pair, memory = with_own_vectors(pair, own | apart, np.array([8.0, 0.0]))
-    kept = own | apart | ~beside  # nothing joins the two
-    rows = {name: getattr(pair, name)[kept] for name in (
-        'x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')}
-    memory = replace(memory, score=np.where(own, THRESHOLD, 0.0))
-    found, _ = with_moving_planes(replace(pair, **rows), ground, memory, THRESHOLD)
-    assert np.all(found.label[own[kept]] == Label.MOVING)
-    assert np.all((found.label[apart[kept]] == Label.MOVING) == (top > 180))
-
-
 @pytest.mark.parametrize('copied', [False, True])
 def test_what_moves_as_copied_vectors_do_is_no_car(rng, copied):
     memory = Memory()
