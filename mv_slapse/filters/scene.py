@@ -149,10 +149,9 @@ class SceneFilter:
         gap = (extraction.previous_stamp - self._progress.stamp) * 1e-9
         if gap <= 0:
             return True
+        start, self._progress.stamp = self._progress.stamp, extraction.previous_stamp
         if self._progress.supported is not None:
-            start, self._progress.stamp = self._progress.stamp, extraction.previous_stamp
             self._coast(gap, start)
-        self._progress.stamp = extraction.previous_stamp
         return False
 
     def _begin_anew(self):

@@ -140,7 +140,7 @@ class Outlines(NamedTuple):
         return self.high - self.low + lattice.MACROBLOCK
 
 
-def below_horizon(x: np.ndarray, K: np.ndarray, level: np.ndarray | None) -> np.ndarray:
+def _below_horizon(x: np.ndarray, K: np.ndarray, level: np.ndarray | None) -> np.ndarray:
     """Return how many rows (N,) pixels (N, 2) lie below the horizon; infinite: unknown.
 
     ``level`` (3,) is normal to the ground at any length, up.
@@ -172,7 +172,7 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
     lowest = (bottom >= np.repeat(edge, size) - 0.5).astype(float)
     across = np.add.reduceat(x[:, 0] * lowest, first) / np.add.reduceat(lowest, first)
     foot = np.stack([across, edge - (0.5 - COVERED) * lattice.MACROBLOCK], axis=1)
-    area, drop = np.add.reduceat(block.prod(axis=1), first), below_horizon(foot, K, level)
+    area, drop = np.add.reduceat(block.prod(axis=1), first), _below_horizon(foot, K, level)
     under = np.zeros(len(first)) if ground is None else -to_rays(K, foot) @ ground
     low, high = np.minimum.reduceat(x, first), np.maximum.reduceat(x, first)
     filled = area / np.prod(high - low + lattice.MACROBLOCK, axis=1)
