@@ -66,18 +66,22 @@ def camera_height(state: SceneState, ground: int, height: float, sigma: float,
     lasting : (N_LASTING,) array or float
         What each lasting error does to the height [m]; a float: what of it is wrong for good.
     """
-    plane = plane_in_camera(state, ground)
-    by_pose, by_plane = plane_in_camera_jacobian(state, ground)
-    depth = 1 / np.linalg.norm(plane)
-    by_camera_plane = -depth**3 * plane
-    H = np.zeros((1, state.size))
-    H[0, state.at('current')] = by_camera_plane @ by_pose
-    H[0, state.at(ground)] = by_camera_plane @ by_plane
+    depth, relative = height_above(state, ground)
+    H = depth * relative[None]
     H[0, state.at('heave')] = -height
     error = np.zeros((1, N_LASTING))
     error[0, slice(None) if np.ndim(lasting) else HEIGHT] = lasting
     innovation = np.array([height * (1 + state.heave) - depth])
     return Observation(innovation, H, np.eye(1) * sigma**2, error)
+
+
+def height_above(state: SceneState, ground: int) -> tuple[float, np.ndarray]:
+    """Return the camera's height above a plane of the map, and the derivative (n,) of its log."""
+    plane = plane_in_camera(state, ground)
+    by_pose, by_plane = plane_in_camera_jacobian(state, ground)
+    upward, H = -plane / (plane @ plane), np.zeros(state.size)
+    H[state.at('current')], H[state.at(ground)] = upward @ by_pose, upward @ by_plane
+    return float(1 / np.linalg.norm(plane)), H
 
 
 def mounting(state: SceneState, ground: int, sigma: float) -> Observation:

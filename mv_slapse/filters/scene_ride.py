@@ -15,7 +15,6 @@ from mv_slapse.filters.scene_state import (
     HEIGHT,
     N_LASTING,
     plane_in_camera,
-    plane_in_camera_jacobian,
     relative_motion,
     SceneState,
 )
@@ -102,7 +101,7 @@ class Ride:
 
     def _judged(self, state: SceneState, ground: int) -> 'Ride':
         """Return it by whether the camera still, or at last, keeps to the ground."""
-        depth = float(1 / np.linalg.norm(plane_in_camera(state, ground)))
+        depth, H = scene_observations.height_above(state, ground)
         sights = _last((*self.sights, _sight(state, ground, depth)), WAY * depth)
         off, swing, change = _departures(sights)
         if self.height:
@@ -110,7 +109,7 @@ class Ride:
             return _released(state) if left else replace(self, sights=sights)
         far = len(sights) >= LEAST and sum(sight.way for sight in sights) >= WAY * depth
         if far and off < OFF and swing < SWING and change < CHANGE:
-            error = ekf.consider(state.error, log_height_jacobian(state, ground), HEIGHT.start)
+            error = ekf.consider(state.error, H, HEIGHT.start)
             return replace(self, height=depth, error=error, sights=sights)
         return replace(self, sights=sights)
 
@@ -119,15 +118,6 @@ def _released(state: SceneState) -> Ride:
     """Return the beginning anew; what was not known of the height is the state's again."""
     ekf.estimate_again(state.error, HEIGHT.start)
     return Ride()
-
-
-def log_height_jacobian(state: SceneState, ground: int) -> np.ndarray:
-    """Return the derivative (n,) of the log of the camera's height above a plane of the map."""
-    plane = plane_in_camera(state, ground)
-    by_pose, by_plane = plane_in_camera_jacobian(state, ground)
-    upward, H = -plane / (plane @ plane), np.zeros(state.size)
-    H[state.at('current')], H[state.at(ground)] = upward @ by_pose, upward @ by_plane
-    return H
 
 
 def _sight(state: SceneState, ground: int, depth: float) -> Sight:

@@ -4,7 +4,7 @@ from copy import deepcopy
 from dataclasses import replace
 
 from mv_slapse.config import SceneSettings
-from mv_slapse.filters import ekf, scene_ride, scene_state, scene_update
+from mv_slapse.filters import ekf, scene_observations, scene_state, scene_update
 from mv_slapse.filters.scene import SceneFilter
 from mv_slapse.filters.scene_ride import Ride, Sight
 from mv_slapse.records import ScaleStatus
@@ -110,7 +110,8 @@ def test_what_is_not_known_of_the_height_is_an_error_that_lasts(rng):
         plane = scene_state.plane_in_camera(state.moved(e), GROUND)
         return np.array([-np.log(np.linalg.norm(plane))])
 
-    H = scene_ride.log_height_jacobian(state, GROUND)
+    height, H = scene_observations.height_above(state, GROUND)
+    assert np.log(height) == pytest.approx(log_height(np.zeros(state.size))[0])
     np.testing.assert_allclose(H[None], jacobian(log_height, np.zeros(state.size)), atol=1e-6)
     before, sigma = state.error.total.copy(), np.sqrt(H @ state.P @ H)
     error = ekf.consider(state.error, H, scene_state.HEIGHT.start)
@@ -118,7 +119,7 @@ def test_what_is_not_known_of_the_height_is_an_error_that_lasts(rng):
     np.testing.assert_allclose(H @ state.P @ H, 0, atol=1e-12)
     assert error[scene_state.HEIGHT] == pytest.approx(sigma)
     # The height that is observed errs as the state does: nothing is learned, nothing moves.
-    ride = Ride(float(np.exp(log_height(np.zeros(state.size))[0])), error)
+    ride = Ride(height, error)
     after = scene_update.observe(deepcopy(state), ride.observations(GROUND, FREE)[:1], 3)
     np.testing.assert_allclose(after.error.lasting @ after.error.lasting.T,
                                state.error.lasting @ state.error.lasting.T, rtol=0.1, atol=1e-6)
