@@ -1,6 +1,6 @@
 """Planes, camera motion and labels of each key frame pair, [MVO] 4: PlaneExtractor.extract."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import itertools
 
 from mv_slapse.config import ExtractionSettings
@@ -13,7 +13,6 @@ from mv_slapse.planes import (
     extraction,
     ground,
     labeling,
-    lattice,
     moving_regions,
     pairs,
     refinement,
@@ -23,6 +22,7 @@ from mv_slapse.planes import (
 from mv_slapse.planes.camera_motion import MotionFit, refined_from
 from mv_slapse.planes.consensus import Depths
 from mv_slapse.planes.extraction import PlaneFit
+from mv_slapse.planes.found import Found, labels, observations
 from mv_slapse.planes.ground import GroundPrior, GroundTrack, Mount
 from mv_slapse.planes.known import KnownPlane
 from mv_slapse.planes.memory import Memory
@@ -34,7 +34,6 @@ from mv_slapse.records import (
     Extraction,
     Label,
     MotionStatus,
-    PlaneObservation,
 )
 import numpy as np
 
@@ -42,20 +41,6 @@ import numpy as np
 # thirds of the blocks within a standard deviation.
 PREDICTED_COST = 0.35
 MANY_MOVERS = 0.9  # share of blocks left below which the motion is estimated anew without them
-
-
-@dataclass(frozen=True)
-class Found:
-    """What a key frame pair shows: motion, evidence of its blocks, planes, moving planes.
-
-    ``doubtful`` blocks (N,) bool may belong to these.
-    """
-
-    fit: MotionFit
-    evidence: labeling.Evidence
-    planes: list[PlaneFit]
-    moving: Extraction | None = None
-    doubtful: np.ndarray | None = None
 
 
 class PlaneExtractor:
@@ -90,7 +75,7 @@ class PlaneExtractor:
         reason = reason or pairs.too_few(pair[rows])
         if reason:
             return replace(blank, reason=reason), rows
-        if pairs.stands_still(pair[rows], settings.standstill_share):
+        if pairs.stands_still(pair[rows], blank, settings.standstill_share):
             return self._standing(blank), rows
         fit, free = self._first_motion(blank, pair[rows])
         noise = camera_motion.calibrated(pair[rows], fit, self._memory.noise)
@@ -244,14 +229,14 @@ class PlaneExtractor:
 
     def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio, lone) -> Found:
         """Find what moves by itself, and take it out of the stationary planes."""
-        label, plane_id = _labels(found)
+        label, plane_id = labels(found)
         floor = seen = next((plane.plane for plane in found.planes if plane.is_ground), None)
         if floor is None and prior.spread < ground.FORGOTTEN:
             floor = prior.normal * prior.inverse_depth
         rides, fit = self._memory.ground.mount.rides, found.fit
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev)
         shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
-                        planes=tuple(_observations(blank.x_cur, found)),
+                        planes=tuple(observations(blank.x_cur, found)),
                         sigma=pair.sigma.astype(np.float32))
         shown, self._movers = moving_regions.with_moving_planes(
             shown, floor if rides else None, self._movers, self._settings.moving_score,
@@ -325,13 +310,13 @@ class PlaneExtractor:
 
     def _finished(self, blank, pair, found: Found, noise, prior) -> Extraction:
         """Write labels and planes down and keep what the next pair needs."""
-        label, plane_id = _labels(found)
-        observations = (*_observations(blank.x_cur, found), *found.moving.planes)
-        self._remember(blank, pair, found, observations, plane_id, noise, prior)
+        label, plane_id = labels(found)
+        seen = (*observations(blank.x_cur, found), *found.moving.planes)
+        self._remember(blank, pair, found, seen, plane_id, noise, prior)
         fit = found.fit
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev,
                               fit.covariance, bool(fit.t_cur_from_prev[2] < 0))
-        return replace(blank, motion=motion, planes=observations, label=label,
+        return replace(blank, motion=motion, planes=seen, label=label,
                        plane_id=plane_id, sigma=pair.sigma.astype(np.float32))
 
     def _named(self, found: Found) -> Found:
@@ -362,31 +347,6 @@ class PlaneExtractor:
                             found.fit.t_cur_from_prev[2], _with_depth(evidence) & ~found.doubtful),
             self._memory.planes, doubtful.painted(found.moving), self._memory.height,
             self._memory.grid, past.noted(blank.stamp, depths_of(pair, blank, evidence, still)))
-
-
-def _labels(found: Found):
-    """Return the label (N,) and the plane id (N,) of each block."""
-    evidence = found.evidence
-    label = np.full(len(evidence.rho), Label.UNKNOWN, np.int8)
-    label[evidence.epipolar_inlier & ~evidence.backward] = Label.STATIONARY
-    label[evidence.at_infinity] = Label.INFINITY
-    plane_id = np.full(len(label), -1, np.int32)
-    for plane in found.planes:
-        plane_id[plane.member] = plane.id
-    if found.moving is not None:
-        moving = found.moving.label == Label.MOVING
-        label[found.doubtful] = Label.UNKNOWN
-        label[moving] = Label.MOVING
-        plane_id[moving] = found.moving.plane_id[moving]
-    return label, plane_id
-
-
-def _observations(x_cur, found: Found):
-    """Yield the stationary planes as records."""
-    for plane in found.planes:
-        yield PlaneObservation(plane.id, Label.STATIONARY, plane.plane, plane.covariance,
-                               is_ground=plane.is_ground,
-                               n_macroblocks=lattice.count_macroblocks(x_cur[plane.member]))
 
 
 def _with_depth(evidence) -> np.ndarray:

@@ -9,6 +9,7 @@ from mv_slapse.planes.labeling import Evidence
 from mv_slapse.records import Extraction
 import numpy as np
 
+PARTS = 4  # of the picture, along each side, that stand or move
 COLUMNS = ('x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')
 
 
@@ -52,7 +53,14 @@ def disagreement(evidence: Evidence) -> str:
             'the picture moves faster than the encoder searches, or movers fill it')
 
 
-def stands_still(pair: two_view.Pair, share: float) -> bool:
-    """Tell whether so many vectors are zero that the camera must be standing."""
+def stands_still(pair: two_view.Pair, blank: Extraction, share: float) -> bool:
+    """Tell whether so many vectors are zero, in so many parts of the picture, that it stands.
+
+    A bonnet that fills a third of the picture may have most of its vectors.
+    """
     moved = (pair.rays_cur[:, :2] - pair.rays_prev[:, :2]) * pair.focal
-    return np.mean(np.hypot(moved[:, 0], moved[:, 1]) < 0.25) >= share
+    still = np.hypot(moved[:, 0], moved[:, 1]) < 0.25
+    part = np.floor(blank.x_cur * PARTS / (blank.width, blank.height)).clip(0, PARTS - 1)
+    part = (PARTS * part[:, 1] + part[:, 0]).astype(int)
+    n, n_still = np.bincount(part), np.bincount(part, still)
+    return np.mean(still) >= share and np.mean((n_still >= share * n)[n > 0]) >= share
