@@ -129,6 +129,13 @@ class ExtractionSettings(Checked):
     min_inliers: float = setting(
         0.4, '-', 'smallest share of blocks that agree with a camera motion; below, the motion '
         'is unknown: vectors at random make 0.15 to 0.3', 0.0, 1.0)
+    own_top: float = setting(
+        0.0, '-', 'share of the picture at its top that shows the vehicle itself, or a bar, and '
+        'tells nothing of the scene', 0.0, 0.9)
+    own_bottom: float = setting(
+        0.0, '-', 'the same at its bottom: a bonnet, a bumper, a gripper', 0.0, 0.9)
+    own_left: float = setting(0.0, '-', 'the same at its left', 0.0, 0.9)
+    own_right: float = setting(0.0, '-', 'the same at its right', 0.0, 0.9)
     seed: int = setting(0, '-', 'of the sampling; the same seed gives the same planes', 0)
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 import itertools
 
 from mv_slapse.config import ExtractionSettings
-from mv_slapse.geometry import epipolar, two_view
+from mv_slapse.geometry import epipolar, rotation, two_view
 from mv_slapse.geometry.camera import Camera, undistort
 from mv_slapse.planes import (
     camera_motion,
@@ -65,8 +65,10 @@ class PlaneExtractor:
         broken or no motion explains enough of its vectors.
         """
         whole = self._blank(correspondences)
-        shown, rows = self._shown(whole, correspondences.lone, correspondences.reason)
-        return self._silhouettes.fill(pairs.scattered(whole, shown, rows), correspondences)
+        scene = pairs.scene(whole, correspondences.x_cur, self._settings)
+        shown, rows = self._shown(pairs.only(whole, scene), correspondences.lone[scene],
+                                  correspondences.reason)
+        return self._silhouettes.fill(pairs.scattered(whole, shown, scene[rows]), correspondences)
 
     def _shown(self, whole: Extraction, lone: np.ndarray, reason: str):
         """Return what a pair shows, and the rows of the whole that it made use of."""
@@ -279,7 +281,7 @@ class PlaneExtractor:
         belief, prior, road = ground.survey(
             depths, pair.sigma, evidence, lone, self._ground_prior(whole, fit, ratio),
             memory.height.moved(*memory.log_ratio(whole, ratio)), self._settings.epsilon_h,
-            memory.is_comparable(whole, ratio))
+            rotation.angle(fit.R_cur_from_prev), memory.is_comparable(whole, ratio))
         self._memory = replace(memory, height=belief)
         return prior, road
 

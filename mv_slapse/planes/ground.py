@@ -20,6 +20,7 @@ FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for af
 DEPENDENCE = 10.0  # blocks of road that tell as much as one: what stands on it errs one way
 MAX_BLUR = 0.07  # standard deviation of a block's depth, as a share of it
 CORRIDOR = 2.5  # camera heights to either side: beyond, kerbs, lawns and drives lie higher
+AROUND = 1.0  # rad: what lies farther off than the camera will have turned by then is on no way
 MIN_DROP = 0.03  # rad below the horizon: nearer to it a block tells nothing of the height
 ALIKE = 0.2  # share of depth by which blocks of one surface below the ground may differ
 LEARNING = 0.1  # share that one key frame has in the learned mounting
@@ -180,7 +181,7 @@ class GroundTrack:
 
 
 def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior: GroundPrior,
-           belief: HeightBelief, cut: float, learns: bool):
+           belief: HeightBelief, cut: float, turn: float, learns: bool):
     """Learn the height from the blocks before the camera, and tell which lone ones are road.
 
     Parameters
@@ -198,6 +199,8 @@ def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior:
         From the pairs before, in this baseline.
     cut : float
         Largest error of a block on the ground, in standard deviations.
+    turn : float
+        Of the camera during the pair [rad].
     learns : bool
         Whether this pair's vectors can be trusted to mean what they say.
 
@@ -215,8 +218,9 @@ def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior:
     # What is far below sees nothing as near as what it flies over.
     ceiling = (np.median(1 / depths.rho[sharp]) if sharp.sum() >= height.MIN_DEPTHS
                else height.MOST)
-    blocks = RoadBlocks(depths[ahead], drop[ahead], evidence.epipolar_error[ahead], sigma[ahead],
-                        evidence.parallax[ahead])
+    way = ahead & (depths.rho > turn / AROUND)
+    blocks = RoadBlocks(depths[way], drop[way], evidence.epipolar_error[way], sigma[way],
+                        evidence.parallax[way])
     if learns:
         belief = belief.seen(blocks, prior.tilt, float(np.median(evidence.parallax[shown])),
                              ceiling)

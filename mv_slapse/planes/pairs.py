@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.planes import camera_motion
@@ -23,6 +24,14 @@ def pair(blank: Extraction) -> two_view.Pair:
 def only(whole: Extraction, rows: np.ndarray) -> Extraction:
     """Return an extraction of some rows."""
     return replace(whole, **{name: getattr(whole, name)[rows] for name in COLUMNS})
+
+
+def scene(whole: Extraction, x: np.ndarray, settings: ExtractionSettings) -> np.ndarray:
+    """Return the rows whose pixels (N, 2) do not show the vehicle itself."""
+    share = (x + 0.5) / (whole.width, whole.height)
+    return np.flatnonzero(
+        (share[:, 0] >= settings.own_left) & (share[:, 0] <= 1 - settings.own_right)
+        & (share[:, 1] >= settings.own_top) & (share[:, 1] <= 1 - settings.own_bottom))
 
 
 def scattered(whole: Extraction, shown: Extraction, rows: np.ndarray) -> Extraction:

@@ -201,7 +201,7 @@ def test_a_known_ground_is_seen_in_a_few_lone_blocks(rng):
     assert ground.find_ground(depths, free, FRESH, RULES, rng, free) is None
 
 
-def surveyed(rng, prior, learns=True, n=120):
+def surveyed(rng, prior, learns=True, turn=0.0, n=120):
     """Return what `survey` makes of lone blocks, the second half of them wrong."""
     depths, surface, _ = road_depths(rng)
     lone = np.zeros(len(depths), bool)
@@ -216,7 +216,7 @@ def surveyed(rng, prior, learns=True, n=120):
     evidence = Evidence(np.zeros(len(rho)), inlier, rho, depths.sigma, depths.sigma, parallax,
                         ~inlier, ~inlier)
     result = ground.survey(depths, np.full(len(rho), 0.3), evidence, lone, prior,
-                           height.HeightBelief.blank(), 3.0, learns)
+                           height.HeightBelief.blank(), 3.0, turn, learns)
     return *result, lone, wrong
 
 
@@ -234,6 +234,13 @@ def test_a_pair_that_cannot_be_trusted_teaches_nothing(rng):
     assert belief.spread > 1.5
     assert prior is FRESH
     assert not road.any()
+
+
+@pytest.mark.parametrize(('turn', 'learned'), [(0.02, True), (0.5, False)])
+def test_what_lies_around_the_bend_tells_nothing_of_the_height(rng, turn, learned):
+    # The nearest road is three ways off: after them the camera will look 1.5 rad to the side.
+    belief, *_ = surveyed(rng, replace(FRESH, tilt=0.01), turn=turn)
+    assert (belief.spread < 0.1) == learned
 
 
 def test_the_road_is_found_exactly_without_noise(rng):

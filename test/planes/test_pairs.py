@@ -1,10 +1,16 @@
-"""Whether the camera stands still: by blocks, and by the parts of the picture that they fill."""
+"""What a pair can be used for: whether the camera stands still, and what shows its vehicle."""
 
+from dataclasses import replace
+
+from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.two_view import Pair
 from mv_slapse.planes import pairs
-from mv_slapse.records import CameraMotion, Extraction, MotionStatus
+from mv_slapse.planes.extractor import PlaneExtractor
+from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus
+from mv_slapse.simulation.drawn import draw
+from mv_slapse.simulation.street import Street, StreetSettings
 import numpy as np
 import pytest
 
@@ -41,3 +47,23 @@ def test_a_bonnet_that_has_most_of_the_vectors_is_no_standing_camera(rng):
     kept = bonnet | (rng.uniform(size=len(X)) < 0.35)
     assert np.mean(bonnet[kept]) > 0.5
     assert not stands(kept, ~bonnet)
+
+
+@pytest.mark.parametrize('side', ['own_left', 'own_right', 'own_top', 'own_bottom'])
+def test_the_vehicle_itself_fills_a_margin_of_the_picture(side):
+    x = np.array([[320.0, 240], [20, 240], [620, 240], [320, 20], [320, 460]])
+    blank = Extraction(1, 0, *SIZE, 0, K, CameraMotion(MotionStatus.UNKNOWN))
+    rows = pairs.scene(blank, x, replace(ExtractionSettings(), **{side: 0.05}))
+    gone = 1 + ['own_left', 'own_right', 'own_top', 'own_bottom'].index(side)
+    assert set(rows) == set(range(5)) - {gone}
+
+
+@pytest.mark.parametrize(('bottom', 'least', 'most'), [(0.0, 0.5, 1.0), (0.3, 0.0, 0.0)])
+def test_what_shows_the_vehicle_has_no_label(rng, bottom, least, most):
+    street = Street(StreetSettings(seed=3, n_frames=12))
+    extractor = PlaneExtractor(street.camera, ExtractionSettings(own_bottom=bottom))
+    for j in (4, 8):
+        shown = extractor.extract(draw(street, j - 4, j, rng, 0.3, 0.0).correspondences)
+        margin = shown.x_cur[:, 1] > 0.72 * shown.height
+        assert least <= np.mean(shown.label[margin] != Label.UNKNOWN) <= most
+        assert np.mean(shown.label[~margin] == Label.STATIONARY) > 0.5
