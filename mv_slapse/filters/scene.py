@@ -11,6 +11,7 @@ from mv_slapse.filters import (
     scene_input,
     scene_map,
     scene_observations,
+    scene_ratio,
     scene_record,
     scene_rest,
     scene_speed,
@@ -39,6 +40,7 @@ UP_CAM = np.array([0.0, -1.0, 0.0])
 PATIENCE = 5  # key frames in which a plane may contradict the map
 START = 3.0  # factor on the random walk of the velocity while the camera starts to move
 REST_SIGMA = 1.0  # of the log of a first baseline that is guessed
+UNTOLD_SIGMA = 0.5  # of the log of a baseline that nothing tells: a flight may halve its way
 SLOW = 0.1  # share of the highest speed that is guessed where a start shows no known plane
 STANDING = 'the camera stands still'
 TURNING = 'the camera turns on the spot'
@@ -271,18 +273,20 @@ class SceneFilter:
         index = np.full(len(pair), -1)
         for i, id in enumerate(ids):
             index[plane_id == id] = i
-        ratio = self._ratio(extraction, settings) if follows and self._progress.carried else []
+        depths = scene_ratio.depths_of(pair, extraction.motion, settings.dependence)
+        ratio = (scene_ratio.told(self._state, extraction, depths, settings)
+                 if follows and self._progress.carried else [])
         if ratio:
             # Braking hard, a step from the length predicted would go beyond zero, and backwards.
             shown = scene_input.shown(self._state.previous, extraction.motion,
                                       float(np.exp(self._state.depth_scale)))
         start = self._state.error_to(replace(self._state, current=shown))
-        observations = [*self._rigid(ground), *self._gauge(baseline, first, way), *ratio]
+        gauge = self._gauge(baseline, first, way, bool(known or ratio))
+        observations = [*self._rigid(ground), *gauge, *ratio]
         self._state = scene_update.update(
             self._state, start, pair, index, ids, settings, observations)
         if not ratio:
-            self._progress.carried = scene_state.begin_depth_scale(
-                self._state, settings.ratio_sigma)
+            self._progress.carried = scene_ratio.begin(self._state, depths, settings.ratio_sigma)
         if first or self._progress.rested:
             scene_state.doubt_speed(self._state)
         self._ride = self._ride.seen(self._state, extraction, ground, settings)
@@ -358,32 +362,23 @@ class SceneFilter:
                                                  motion.t_cur_from_prev)
         return replace(self._settings, dependence=self._dependence.value)
 
-    def _ratio(self, extraction: Extraction, settings: SceneSettings) -> list[Observe]:
-        """Return the observation of the baseline by the one before, if it is known.
-
-        Not one that contradicts the prediction: vectors that are wrong in bulk agree in depths.
-        """
-        sampling = extraction.baseline_ratio_sigma * np.sqrt(settings.depth_dependence)
-        sigma, log = float(np.hypot(sampling, settings.ratio_drift)), extraction.baseline_ratio
-        if not scene_gate.holds_ratio(self._state, log, float(np.hypot(
-                sigma, settings.ratio_sigma))):
-            return []
-        scene_state.move_depth_scale(self._state, log, sigma)
-        return [partial(scene_observations.baseline_ratio, sigma=settings.ratio_sigma)]
-
-    def _gauge(self, baseline: float, first: bool, way: Way | None) -> list[Observe]:
+    def _gauge(self, baseline: float, first: bool, way: Way | None, told: bool) -> list[Observe]:
         """Return the length of the first baseline, which is the unit, or the guess after a rest.
 
-        Or of any by its speed.
+        Or of any by its speed. Where nothing has told one it stays about as predicted: directions
+        alone, which err, would draw it toward zero.
 
         Predicted from rest a baseline is zero, about which its direction would mean nothing.
         """
         progress = self._progress
         if way:
             return [scene_speed.observed(way, self._settings)]
-        if not (first or progress.rested):
+        if first or progress.rested:
+            sigma = REST_SIGMA if progress.rested or self._is_tied else 1e-3
+        elif told:
             return []
-        sigma = REST_SIGMA if progress.rested or self._is_tied else 1e-3
+        else:
+            sigma = UNTOLD_SIGMA
         return [partial(scene_observations.baseline, length=baseline, sigma=sigma)]
 
     def _rigid(self, ground: int | None) -> list[Observe]:

@@ -34,22 +34,6 @@ def distances(state: SceneState, extraction: Extraction,
             if plane.label == Label.STATIONARY and plane.id in state.planes}
 
 
-def holds_ratio(state: SceneState, log_ratio: float, sigma: float) -> bool:
-    """Tell whether a ratio to the baseline before agrees with the predicted length.
-
-    Parameters
-    ----------
-    state : SceneState
-        Predicted; its ``depth_scale`` is that of the pair before.
-    log_ratio, sigma : float
-        Logarithm of the ratio and its standard deviation; an infinite one is no ratio.
-    """
-    value, H = log_baseline(state)
-    H[state.at('depth_scale')] = -1
-    variance = H @ state.error.total @ H + sigma**2
-    return bool((value - state.depth_scale - log_ratio)**2 < RATIO_GATE * variance < np.inf)
-
-
 def holds_length(state: SceneState, length: float, sigma: float) -> bool:
     """Tell whether a length of the way [map unit] agrees with the predicted one.
 

@@ -111,26 +111,6 @@ def baseline(state: SceneState, length: float, sigma: float,
     return Observation(np.array([np.log(length) - value]), H[None], np.eye(1) * sigma**2, error)
 
 
-def baseline_ratio(state: SceneState, sigma: float) -> Observation:
-    """Observe the log of the baseline, by the scale of the depths.
-
-    The depths of the pair before have a common error, which a ratio holds with the opposite sign
-    of the next: such errors must not add up. So the scale of the depths is a state, moved by
-    the ratio (see scene_state.move_depth_scale), and the baseline equals it but for the pair's
-    own common error.
-
-    Parameters
-    ----------
-    state : SceneState
-    sigma : float
-        Common error of the depths of one pair, as a share.
-    """
-    value, H = log_baseline(state)
-    H = -H
-    H[state.at('depth_scale')] = 1
-    return Observation(np.array([value - state.depth_scale]), H[None], np.eye(1) * sigma**2)
-
-
 def level_course(state: SceneState, sigma: float) -> Observation:
     """Observe that a vehicle's course lies in the ground: mount . t = 0 but for sigma [rad]."""
     R, t = relative_motion(state)

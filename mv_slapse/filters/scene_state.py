@@ -337,32 +337,6 @@ def log_baseline(state: SceneState) -> tuple[float, np.ndarray]:
     return 0.5 * np.log(square), H
 
 
-def begin_depth_scale(state: SceneState, sigma: float) -> bool:
-    """Set the scale of the depths to the baseline, which they amount to but for sigma.
-
-    Returns whether the baseline is known well enough for its logarithm to be linear.
-    """
-    state.depth_scale, H = log_baseline(state)
-    if H @ state.P @ H > FAINT**2:
-        at = state.at('depth_scale')
-        state.error.P[at], state.error.P[:, at], state.error.lasting[at] = 0, 0, 0
-        return False
-    F = np.eye(state.size)
-    at = state.at('depth_scale')
-    F[at] = H
-    Q = np.zeros_like(F)
-    Q[at, at] = sigma**2
-    ekf.predict(state.error, state.error.mu, F, Q)
-    return True
-
-
-def move_depth_scale(state: SceneState, log_ratio: float, sigma: float):
-    """Move the scale of the depths by log(|t| now / |t| of the pair before), see planes.scale."""
-    at = state.at('depth_scale')
-    state.depth_scale += log_ratio
-    state.error.P[at, at] += sigma**2
-
-
 def move_anchor(state: SceneState, id: int, anchor: np.ndarray):
     """Express a plane about another anchor (3,) in {W}; what is known of it stays the same."""
     old = state.planes[id]

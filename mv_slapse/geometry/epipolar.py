@@ -86,6 +86,20 @@ def inverse_depth(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
     return rho, np.abs(1 - rho * t_cur_from_prev[2]) / length
 
 
+def inverse_depth_jacobian(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
+    """Return inverse_depth's rho (N,) and its derivative (N, 6) by (w, t), R -> exp(w) R."""
+    y = derotate(rays_prev, R_cur_from_prev)
+    g = (t_cur_from_prev[:2] - y[:, :2] * t_cur_from_prev[2]) * focal
+    square = np.maximum(np.sum(g * g, axis=1), 1e-18)[:, None]
+    gap = (rays_cur[:, :2] - y[:, :2]) * focal
+    rho = np.sum(gap * g, axis=1) / square[:, 0]
+    by_gap, by_g = g / square * focal, (gap - 2 * rho[:, None] * g) / square * focal
+    # y moves by w x y, and back to z = 1; what a vector v in the picture tells by y is v . dy.
+    by_y = -by_gap - by_g * t_cur_from_prev[2]
+    by_y = np.c_[by_y, -np.sum(by_y * y[:, :2], axis=1)]
+    return rho, np.c_[cross(y, by_y), by_g, -np.sum(by_g * y[:, :2], axis=1)]
+
+
 def reach(rays_cur, focal, t_cur_from_prev) -> np.ndarray:
     """Parallax of points at distance 1 from camera k-1 for each ray (N, 3) of camera k, (N,) [px].
 

@@ -11,7 +11,6 @@ from mv_slapse.records import Label, PlaneObservation
 from numeric import jacobian
 import numpy as np
 import pytest
-from scene_drive import between_two_poses
 
 SETTINGS = SceneSettings()
 
@@ -78,13 +77,3 @@ def test_the_ground_is_named_where_it_is_seen(rng, state):
     without = replace(extraction, planes=(wall,))
     assert scene_gate.ground_of(without, {8}) is None
     assert scene_gate.ground_plane(without) is None
-
-
-@pytest.mark.parametrize(('sigmas', 'sigma', 'holds'), [
-    (3.0, 0.01, True), (-3.0, 0.01, True), (3.6, 0.01, False), (3.6, np.inf, False)])
-def test_a_ratio_holds_within_the_gate_of_the_predicted_length(rng, sigmas, sigma, holds):
-    state = between_two_poses(rng)
-    state.depth_scale = 0.2
-    value, _ = scene_state.log_baseline(state)
-    ratio = value - state.depth_scale + sigmas * 0.01
-    assert scene_gate.holds_ratio(state, ratio, sigma) is holds

@@ -14,7 +14,6 @@ OBSERVATIONS = {
     'mounting': lambda s: scene_observations.mounting(s, ROAD, 0.01),
     'baseline': lambda s: scene_observations.baseline(s, 3.0, 1e-3),
     'speed wrong for good': lambda s: scene_observations.baseline(s, 3.0, 0.02, 0.01),
-    'baseline ratio': lambda s: scene_observations.baseline_ratio(s, 0.006),
     'level course': lambda s: scene_observations.level_course(s, 0.02),
 }
 
@@ -57,6 +56,5 @@ def test_innovations_by_hand():
     np.testing.assert_array_equal(OBSERVATIONS['speed wrong for good'](state).lasting, faster)
     np.testing.assert_allclose(innovation['mounting'], 0, atol=1e-12)
     np.testing.assert_allclose(innovation['baseline'], [np.log(3 / np.hypot(0.3, 2))])
-    np.testing.assert_allclose(innovation['baseline ratio'], [np.log(np.hypot(0.3, 2)) - 0.5])
     # The camera sinks: its motion t points up against the mount's normal.
     np.testing.assert_allclose(innovation['level course'], [-0.3 / np.hypot(0.3, 2)])

@@ -277,35 +277,6 @@ def test_a_common_error_of_all_lengths_is_what_scaling_does(state):
     np.testing.assert_allclose(added, 0.01 * np.outer(e, e), rtol=1e-4, atol=1e-7)
 
 
-def test_a_new_depth_scale_is_the_baseline_and_shares_its_error(state):
-    state.error.P *= 1e-4
-    value, H = scene_state.log_baseline(state)
-    expected = H @ state.P
-    assert scene_state.begin_depth_scale(state, 0.02)
-    at = state.at('depth_scale')
-    assert state.depth_scale == pytest.approx(value)
-    others = np.delete(np.arange(state.size), at.start)
-    np.testing.assert_allclose(state.P[at.start, others], expected[others])
-    assert state.P[at, at].item() == pytest.approx(expected @ H + 0.02**2)
-
-
-def test_a_baseline_next_to_zero_gives_the_depths_no_scale(state):
-    state.current.t = state.previous.t + 1e-3
-    assert not scene_state.begin_depth_scale(state, 0.02)
-    at = state.at('depth_scale')
-    assert not state.P[at].any()
-    assert not state.P[:, at].any()
-
-
-def test_a_ratio_moves_the_depth_scale_and_widens_it(state):
-    before, at = deepcopy(state), state.at('depth_scale')
-    scene_state.move_depth_scale(state, 0.1, 0.02)
-    assert state.depth_scale == pytest.approx(before.depth_scale + 0.1)
-    expected = before.P.copy()
-    expected[at, at] += 0.02**2
-    np.testing.assert_allclose(state.P, expected)
-
-
 def test_a_copied_pose_is_independent(state):
     before, twin = deepcopy(state).current, state.current.copy()
     twin.t += 1

@@ -5,7 +5,7 @@ from functools import partial
 
 from canyon import angle_between, CANYON, K, motion, turn_between, views
 from mv_slapse.config import SceneSettings
-from mv_slapse.filters import ekf, scene_observations, scene_state, scene_update
+from mv_slapse.filters import ekf, scene_observations, scene_ratio, scene_state, scene_update
 from mv_slapse.filters.scene_state import AnchoredPlane, Pose
 from mv_slapse.geometry import rotation, two_view
 from mv_slapse.geometry.camera import to_pixels
@@ -234,18 +234,19 @@ def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
 def test_common_errors_of_depths_do_not_add_up(scene):
     """Each pair's error is in its ratio and, negated, in the next: the way does not drift."""
     errors, sigmas = [], []
+    depths = scene_ratio.Depths(np.eye(3), np.array([0, 0, -1.0]), np.zeros(6), 0.0)
     for seed in range(20):
         rng = np.random.default_rng(seed)
         state = scene_state.start(np.array([0, -1.0, 0]), 0.1, 0.01, 0.05)
         state.velocity = np.array([0, 0, 10.0])
         scene_state.propagate(state, 0.1, 0.0, 0.0, 1.0)
-        scene_state.begin_depth_scale(state, 0.006)
+        scene_ratio.begin(state, depths, 0.006)
         common = rng.normal(0, 0.006)
         for _ in range(50):
             scene_state.propagate(state, 0.1, 3.0, 0.1, 1.0)
             before, common = common, rng.normal(0, 0.006)
-            scene_state.move_depth_scale(state, common - before, 1e-4)
-            state = without_pair(scene, state, partial(scene_observations.baseline_ratio,
+            scene_ratio.move(state, common - before, 1e-4)
+            state = without_pair(scene, state, partial(scene_ratio.observed, depths=depths,
                                                        sigma=0.006))
         value, H = scene_state.log_baseline(state)
         errors.append(value)

@@ -103,6 +103,20 @@ def test_depth_sensitivity_is_the_change_along_the_epipolar_line(exact):
     np.testing.assert_allclose(per_pixel[usable], numerical[usable], rtol=1e-5)
 
 
+def test_inverse_depth_jacobian_is_the_numerical_one(exact):
+    rays_cur, rays_prev = to_rays(K, exact.x_cur), to_rays(K, exact.x_true)
+    away = np.hypot(*(exact.x_true - exact.x_cur).T) > 3
+
+    def depths(p):
+        return epipolar.inverse_depth(rays_cur, rays_prev, FOCAL, rotation.exp(p[:3]) @ exact.R,
+                                      exact.t + p[3:])[0][away]
+
+    rho, J = epipolar.inverse_depth_jacobian(rays_cur, rays_prev, FOCAL, exact.R, exact.t)
+    np.testing.assert_allclose(rho[away], depths(np.zeros(6)))
+    expected = jacobian(depths, np.zeros(6))
+    np.testing.assert_allclose(J[away], expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
+
+
 def test_parallax_is_what_translation_leaves(exact):
     rays = to_rays(K, exact.x_cur)
     untranslated = rays - exact.rho[:, None] * exact.t
