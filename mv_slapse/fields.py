@@ -242,7 +242,8 @@ def _observation_to_fields(plane: PlaneObservation) -> Fields:
     return {'id': int(plane.id), 'label': int(plane.label), 'is_ground': bool(plane.is_ground),
             'n_macroblocks': int(plane.n_macroblocks), 'plane': _flat(plane.plane),
             'covariance': _flat(plane.covariance), 't_d': _flat(plane.t_d),
-            'product': _flat(plane.product), 'scale_prior': int(plane.scale_prior)}
+            'product': _flat(plane.product), 'scale_prior': int(plane.scale_prior),
+            'score': float(plane.score)}
 
 
 def _observation_from_message(msg: Any) -> PlaneObservation:
@@ -251,7 +252,7 @@ def _observation_from_message(msg: Any) -> PlaneObservation:
         int(msg.id), Label(msg.label), _flat(msg.plane),
         _matrix(covariance, 6 if covariance.size == 36 else 3), _flat(msg.t_d),
         _matrix(msg.product, 3), ScalePrior(msg.scale_prior), bool(msg.is_ground),
-        int(msg.n_macroblocks))
+        int(msg.n_macroblocks), float(msg.score))
 
 
 def _map_plane_to_fields(plane: MapPlane, frames: RosFrames) -> Fields:

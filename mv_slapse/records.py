@@ -184,6 +184,8 @@ class PlaneObservation:
         The plane the camera rides on.
     n_macroblocks : int
         Correspondences that support it.
+    score : float
+        How much rather a moving one moves than not, chi-square summed over key frame pairs.
     """
 
     id: int
@@ -195,6 +197,7 @@ class PlaneObservation:
     scale_prior: ScalePrior = ScalePrior.NONE
     is_ground: bool = False
     n_macroblocks: int = 0
+    score: float = 0.0
 
 
 @dataclass(frozen=True)

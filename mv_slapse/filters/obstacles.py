@@ -167,7 +167,8 @@ class ObstacleTracker:
                     track.evidence, self._view.speed_unit, self._settings)
             else:
                 track.confirmed = self._may_drive(track) and management.confirms(
-                    track.evidence, self._view.is_metric, self._settings, self._false_starts)
+                    track.evidence, self._view.is_metric, self._settings, self._false_starts,
+                    self._is_alone(track))
             if track.confirmed and self._has_stopped(track, extraction):
                 given.append(track)
         handed = [track.handover(extraction.stamp, self._view) for track in given]
@@ -189,6 +190,12 @@ class ObstacleTracker:
             return True
         return (track.scale_prior is ScalePrior.GROUND_CONTACT
                 and track.height(self._view) <= self._view.tallest)
+
+    def _is_alone(self, track):
+        """Tell whether no confirmed obstacle's box meets a track's: it is no part of one."""
+        box = track.box(self._view)
+        return not any(other.confirmed and association.box_overlap(other.box(self._view), box) > 0
+                       for other in self._tracks)
 
     def _has_stopped(self, track, extraction):
         unit = self._view.speed_unit

@@ -132,8 +132,8 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     for member, *values in zip(members, total, gone, ids, strict=True):
         score[member], left[member], before[member] = values
     moving = sorted(np.flatnonzero(ids >= 0), key=lambda i: -len(members[i]))
-    planes = {int(ids[i]): (members[i], _plane(extraction, motion_field, found, i))
-              for i in moving}
+    planes = {int(ids[i]): (members[i], _plane(extraction, motion_field, found, i),
+                            float(max(total[i], gone[i]))) for i in moving}
     return (_labelled(extraction, motion_field, planes),
             memory.after(extraction, score, left, before, next_id, FADING))
 
@@ -340,10 +340,10 @@ def _named(members, moves, before, next_id):
 def _grown(extraction, motion_field, moving):
     """Add the blocks in and around each moving region that move with its plane, not the ground."""
     free = ~motion_field.ground_like
-    for member, _ in moving:
+    for member, *_ in moving:
         free[member] = False
     grown = []
-    for member, fit in moving:
+    for member, fit, _ in moving:
         x = motion_field.x[member]
         low, high = x.min(axis=0) - lattice.MACROBLOCK, x.max(axis=0) + lattice.MACROBLOCK
         # Of a car ahead the part near the horizon is never clearly farther than the ground.
@@ -366,16 +366,16 @@ def _grown(extraction, motion_field, moving):
 
 
 def _labelled(extraction, motion_field, planes):
-    """Write moving planes {id: (member, plane)} down, over what their blocks were taken for."""
+    """Write moving planes {id: (member, plane, score)} over what their blocks were taken for."""
     label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
-    planes = {id_: (member, fit) for id_, (member, fit) in planes.items() if fit is not None}
+    planes = {id_: plane for id_, plane in planes.items() if plane[1] is not None}
     grown = _grown(extraction, motion_field, planes.values())
     found = []
-    for (id_, (_, fit)), member in zip(planes.items(), grown, strict=True):
+    for (id_, (_, fit, score)), member in zip(planes.items(), grown, strict=True):
         label[member] = Label.MOVING
         plane_id[member] = id_
         found.append(PlaneObservation(
             id_, Label.MOVING, fit.plane, fit.covariance, fit.t_d, fit.product,
-            fit.scale_prior, False, lattice.count_macroblocks(extraction.x_cur[member])))
+            fit.scale_prior, False, lattice.count_macroblocks(extraction.x_cur[member]), score))
     return replace(extraction, label=label, plane_id=plane_id,
                    planes=(*extraction.planes, *found))

@@ -53,6 +53,15 @@ def test_a_bad_beginning_is_forgotten():
     assert management.one_body([*bad, *later]) == management.one_body(later) > 0
 
 
+def test_a_region_whose_score_lasts_needs_no_outline_if_it_is_alone():
+    jumps = evidence([50] * 4, overlap=0.5)
+    lasting = [item._replace(score=10.0 * i) for i, item in enumerate(jumps, 1)]
+    assert management.confirms(lasting, True, SETTINGS)
+    assert not management.confirms(lasting, True, SETTINGS, alone=False)
+    assert not management.confirms(lasting[:2], True, SETTINGS), 'wrong vectors score as much'
+    assert not management.confirms([*lasting, jumps[-1]], True, SETTINGS), 'the newest counts'
+
+
 def test_what_two_short_pairs_show_counts_as_one_of_their_time():
     short = evidence([50] * 3, pair=PAIR // 2)
     assert management.one_body(short) == pytest.approx(management.one_body(evidence([50] * 2)))

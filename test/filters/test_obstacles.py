@@ -147,9 +147,9 @@ def test_a_stopped_car_whose_labels_turn_stationary_is_handed_over(rng):
 def test_tracks_that_come_to_nothing_are_counted(rng, monkeypatch):
     rates, confirms = [], obstacles_module.management.confirms
 
-    def noted(evidence, is_metric, settings, false_starts):
+    def noted(evidence, is_metric, settings, false_starts, alone):
         rates.append(false_starts)
-        return confirms(evidence, is_metric, settings, false_starts)
+        return confirms(evidence, is_metric, settings, false_starts, alone)
     monkeypatch.setattr(obstacles_module.management, 'confirms', noted)
     tracker = ObstacleTracker(SETTINGS)
     for i in range(60):
@@ -342,3 +342,16 @@ def test_the_same_input_gives_the_same_obstacles():
         for one, other in zip(a, b, strict=True):
             np.testing.assert_array_equal(one.position, other.position)
             np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def test_what_lies_before_or_behind_an_obstacle_is_not_alone(rng, monkeypatch):
+    asked, confirms = [], obstacles_module.management.confirms
+
+    def noted(evidence, is_metric, settings, false_starts, alone):
+        asked.append(alone)
+        return confirms(evidence, is_metric, settings, false_starts, alone)
+    monkeypatch.setattr(obstacles_module.management, 'confirms', noted)
+    behind = Mover(2, (0.9, 32), (2, 9))  # comes out at the side when it is first seen
+    run(Drive((*CASES['slower'].movers, behind), hidden={2: lambda now: now < 1.0}), rng)
+    assert asked[0]
+    assert not all(asked)

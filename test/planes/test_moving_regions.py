@@ -231,6 +231,14 @@ def test_the_id_of_a_mover_lasts(rng):
     assert min(ids) >= moving_regions.FIRST_ID
 
 
+def test_the_score_of_a_mover_grows_from_pair_to_pair(rng):
+    scores = [max((plane.score for plane in found.planes if plane.label is Label.MOVING),
+                  default=0.0) for found, _ in run(street_of('faster'), rng)]
+    first, *later = (score for score in scores if score > 0)
+    assert THRESHOLD <= first < 2 * THRESHOLD < max(later)
+    assert np.all(np.diff([first, *later]) > 0)
+
+
 def test_moving_planes_tell_the_speed(rng):
     street = street_of('faster')
     car, speeds = street.movers[0], []
