@@ -232,9 +232,8 @@ class PlaneExtractor:
     def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio, lone) -> Found:
         """Find what moves by itself, and take it out of the stationary planes."""
         label, plane_id = labels(found)
-        floor = seen = next((plane.plane for plane in found.planes if plane.is_ground), None)
-        if floor is None and prior.spread < ground.FORGOTTEN:
-            floor = prior.normal * prior.inverse_depth
+        seen = next((plane.plane for plane in found.planes if plane.is_ground), None)
+        floor, nearer = ground.for_movers(seen, prior, self._memory.height)
         rides, fit = self._memory.ground.mount.rides, found.fit
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev)
         shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
@@ -244,7 +243,8 @@ class PlaneExtractor:
             shown, floor if rides else None, self._movers, self._settings.moving_score,
             prior.normal if rides else None, departure(
                 self._memory.past_at(blank, fit, ratio), blank,
-                depths_of(pair, blank, found.evidence, _with_depth(found.evidence))), lone)
+                depths_of(pair, blank, found.evidence, _with_depth(found.evidence))), lone,
+            nearer)
         shown = replace(shown, planes=tuple(
             plane for plane in shown.planes if plane.label is Label.MOVING))
         still = shown.label != Label.MOVING

@@ -17,6 +17,8 @@ import numpy as np
 UP_CAM = (0.0, -1.0, 0.0)  # a level camera: optical axes have y down
 HEIGHT_WOBBLE = 0.02  # change of log(height) between key frames: suspension and slope
 FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for afresh
+GUESSED = 0.5  # the same of a ground that none shows, for movers: it is within a factor of 2.7
+FARTHEST = 2.0  # standard deviations by which that ground may lie farther, or nearer
 DEPENDENCE = 10.0  # blocks of road that tell as much as one: what stands on it errs one way
 MAX_BLUR = 0.07  # standard deviation of a block's depth, as a share of it
 CORRIDOR = 2.5  # camera heights to either side: beyond, kerbs, lawns and drives lie higher
@@ -228,6 +230,24 @@ def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior:
     known = prior.spread < height.SURE
     road = lone & ahead & fits & ~evidence.at_infinity & known
     return belief, prior, road & prior.hold(depths, cut)
+
+
+def for_movers(seen: np.ndarray | None, prior: GroundPrior, belief: HeightBelief
+               ) -> tuple[np.ndarray | None, float]:
+    """Return the ground (3,) by which movers are told, and how many times nearer it may be.
+
+    Where none is found the height that many pairs show, if vaguely, tells how far it may lie at
+    most: what looks farther than that moves in any case. None where it may lie anywhere.
+    """
+    if seen is not None:
+        return seen, 1.0
+    if prior.spread < FORGOTTEN:
+        return prior.normal * prior.inverse_depth, 1.0
+    spread = float(np.hypot(belief.spread, height.BIAS))
+    if spread > GUESSED:
+        return None, 1.0
+    return (prior.normal * np.exp(-belief.log - FARTHEST * spread),
+            float(np.exp(2 * FARTHEST * spread)))
 
 
 def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rules,

@@ -69,6 +69,7 @@ class _Field:
     growth: np.ndarray
     plane_id: np.ndarray
     ground: np.ndarray | None
+    nearer: float
     level: np.ndarray | None
     seen: Seen
     seen_or_lone: Seen
@@ -84,8 +85,8 @@ class _Fitted(NamedTuple):
 
 def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory: Memory,
                        threshold: float, level: np.ndarray | None = None,
-                       departure: np.ndarray | None = None, lone: Extraction | None = None
-                       ) -> tuple[Extraction, Memory]:
+                       departure: np.ndarray | None = None, lone: Extraction | None = None,
+                       nearer: float = 1.0) -> tuple[Extraction, Memory]:
     """Add the moving planes of a pair to what was found stationary in it.
 
     Parameters
@@ -104,6 +105,9 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
         As of planes.past.departure.
     lone : Extraction, optional
         Vectors of the pair that no neighbour supports: they tell of the ground below a region.
+    nearer : float
+        The ground may be this many times nearer. If so it is a guess: what looks farther moves,
+        but nothing hovers over it or has its depth from it.
 
     Returns
     -------
@@ -114,7 +118,7 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     """
     departure = np.zeros(len(extraction.x_cur)) if departure is None else departure
     level = level if ground is None else ground
-    motion_field = _motion_field(extraction, ground, level, departure, lone)
+    motion_field = _motion_field(extraction, ground, level, departure, lone, nearer)
     members = _alike(motion_field)
     found = _fitted(extraction, motion_field, members)
     score, left, before = memory.inherited(extraction)
@@ -138,7 +142,7 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
             memory.after(extraction, score, left, before, next_id, FADING))
 
 
-def _motion_field(extraction, ground, level, departure, lone):
+def _motion_field(extraction, ground, level, departure, lone, nearer):
     """Judge the blocks singly: those on the ground and those without parallax are left out."""
     K, motion = extraction.K, extraction.motion
     R, t = motion.R_cur_from_prev, motion.t_cur_from_prev
@@ -152,16 +156,16 @@ def _motion_field(extraction, ground, level, departure, lone):
     noise = per_pixel * extraction.sigma
     slack = 3 * noise + ON_GROUND * under
     # The lower rows of a car that starts look as far as the road before it.
-    ground_like = ((under > 0) & (error < 4) & (np.abs(rho - under) < slack)
-                   & (departure <= 0))
+    ground_like = ((under > 0) & (error < 4) & (rho - under > -slack)
+                   & (rho - nearer * under < slack) & (departure <= 0))
     least = FAR if np.any(t) else RESTING
     far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < least)
     below = rho + 2 * noise < BELOW_GROUND * under
     nearing = np.maximum(-rho * t[2], 0.0)
     seen = Seen(x, rho, noise, under, _copied(extraction), np.full(len(x), OUTLIER))
     return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far, below,
-                  departure, nearing / (1 + nearing), extraction.plane_id, ground, level, seen,
-                  with_lone(seen, lone, motion, ground))
+                  departure, nearing / (1 + nearing), extraction.plane_id, ground, nearer, level,
+                  seen, with_lone(seen, lone, motion, ground))
 
 
 def _copied(extraction):
@@ -255,7 +259,7 @@ def _scored(extraction, motion_field, found):
                               found.regions.first), extraction.K, motion_field.ground,
                        motion_field.level)
     score = scores(fit, outline, extraction.K, extraction.motion.t_cur_from_prev,
-                   motion_field.seen, motion_field.seen_or_lone)
+                   motion_field.seen, motion_field.seen_or_lone, motion_field.nearer)
     leaves = departures(outline, np.add.reduceat(motion_field.departure[at], found.regions.first),
                         motion_field.seen)
     return np.where(fits, score, 0.0), np.where(fits, leaves, 0.0)
@@ -266,7 +270,8 @@ def _plane(extraction, motion_field, found, i) -> MovingPlane | None:
     first = found.regions.first[i]
     at = found.at[first:first + found.regions.size[i]]
     return settled(found.fit.only(i, found.regions), motion_field.x[at], motion_field.block[at],
-                   extraction.K, extraction.motion.t_cur_from_prev, motion_field.ground)
+                   extraction.K, extraction.motion.t_cur_from_prev,
+                   motion_field.ground if motion_field.nearer == 1 else None)
 
 
 def _better_half(members, score):

@@ -185,7 +185,7 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
 
 
 def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen: Seen,
-           seen_or_lone: Seen) -> np.ndarray:
+           seen_or_lone: Seen, nearer: float = 1.0) -> np.ndarray:
     """Return squared distances (R,) of regions from all that is still, less what noise gives.
 
     Parameters
@@ -198,6 +198,8 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen:
         All blocks, in regions or not.
     seen_or_lone : Seen
         The same with those whose vector no neighbour supports.
+    nearer : float
+        The ground may be this many times nearer; if so nothing is known to hover over it.
     """
     rate, size, drop = fit.theta[:, RATE], outline.size, outline.drop
     W = np.linalg.inv(_covariance(fit, rate, size, K, outline.turned))
@@ -229,7 +231,7 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen:
         distance[i] = min(distance[i], max(_body_above(outline, i, seen), 0.0))
     scattered = road & (outline.filled < LEAST_FILLED)
     distance[scattered] = np.minimum(distance[scattered], 0.0)
-    for i in np.flatnonzero(stands & _may_hover(outline)
+    for i in np.flatnonzero(stands & (nearer == 1) & _may_hover(outline)
                             & (at_foot >= LEAST_RATIO * outline.under)):
         hovers = _hovers(outline, i, at_foot[i], sigma[i], seen_or_lone)
         # An oncoming car follows the lines of what stands still: that it does tells nothing then.

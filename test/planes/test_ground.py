@@ -182,6 +182,20 @@ def test_a_ground_that_is_known_better_or_otherwise_is_left_alone():
     assert loose.inverse_depth == pytest.approx(1, abs=1e-3)
 
 
+def test_movers_are_told_by_the_farthest_ground_that_many_pairs_allow():
+    seen, belief = np.array([0, -0.5, 0]), believed(np.log(2.0), 0.3)
+    assert ground.for_movers(seen, FRESH, belief) == (seen, 1.0)
+    floor, nearer = ground.for_movers(None, replace(FRESH, inverse_depth=0.4, spread=0.2), belief)
+    assert nearer == 1
+    np.testing.assert_allclose(floor, 0.4 * UP)
+    floor, nearer = ground.for_movers(None, FRESH, belief)
+    # Two standard deviations farther than 2, the common bias of all pairs among them.
+    spread = np.hypot(0.3, 0.03)
+    np.testing.assert_allclose(np.log(-floor[1]), -np.log(2) - 2 * spread, atol=0.01)
+    assert np.log(nearer) == pytest.approx(4 * spread, abs=0.01)
+    assert ground.for_movers(None, FRESH, believed(np.log(2.0), 0.6)) == (None, 1.0)
+
+
 def test_upright_informs_of_the_direction_only():
     prior = GroundPrior(UP, 0.02, 0.5, 0.05)
     mean, information = prior.upright(0.4 * pitched(0.02))

@@ -6,7 +6,14 @@ from mv_slapse.config import ExtractionSettings
 from mv_slapse.planes import moving_regions
 from mv_slapse.planes.extractor import PlaneExtractor
 from mv_slapse.planes.moving_regions import Memory, with_moving_planes
-from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus, SegmentKind
+from mv_slapse.records import (
+    CameraMotion,
+    Extraction,
+    Label,
+    MotionStatus,
+    ScalePrior,
+    SegmentKind,
+)
 from mv_slapse.simulation.drawn import draw
 from mv_slapse.simulation.street import Street, StreetSettings
 import numpy as np
@@ -124,6 +131,25 @@ def test_a_ground_that_no_road_shows_now_tells_movers_still():
         found, memory = with_moving_planes(replace(pair, **rows), ground, memory, THRESHOLD)
     assert np.mean(found.label[car[shown]] == Label.MOVING) > 0.6
     assert not np.any(found.label[trees[shown]] == Label.MOVING)
+
+
+@pytest.mark.parametrize(('height', 'least', 'most'), [(2.5, 0.6, 1.0), (60.0, 0.0, 0.0)])
+def test_a_ground_that_may_lie_no_farther_tells_a_car_ahead(height, least, most):
+    memory, far = Memory(), np.array([0, -1 / height, 0])
+    for stamp in range(1, 9):
+        pair, car, trees, _ = behind_a_car_of_the_same_speed(stamp)
+        found, memory = with_moving_planes(pair, far, memory, THRESHOLD, nearer=4.0)
+    assert least <= np.mean(found.label[car] == Label.MOVING) <= most
+    assert not np.any(found.label[~car & (pair.x_cur[:, 1] > 190)] == Label.MOVING)
+    assert not np.any(found.label[trees] == Label.MOVING)
+    assert all(plane.scale_prior is ScalePrior.SMALLEST_MOTION for plane in found.planes)
+
+
+def test_what_may_be_on_a_ground_that_nobody_has_seen_is_not_judged():
+    pair, _, _, floor = behind_a_car_of_the_same_speed(1)
+    _, memory = with_moving_planes(pair, 0.5 * floor, Memory(), THRESHOLD, nearer=4.0)
+    road = pair.x_cur[:, 1] > 290
+    assert np.all(memory.score[road] == 0)
 
 
 def test_what_is_half_as_sure_moves_beside_a_mover_only():

@@ -27,7 +27,7 @@ FIRST_ROW = 180.0
 
 def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), ground=GROUND,
           keep=1.0, t=T, below='ground', above=None, copied=0.0, kinds=None, turned=(0.0, 0.0),
-          lone=None):
+          lone=None, nearer=1.0):
     """Return the score of an upright face at a depth that moves by ``motion`` in the pair.
 
     Blocks below it show the ``ground``, the ``face``'s own depth, ``terrain`` that goes on as
@@ -58,7 +58,7 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     copies = np.random.default_rng(1).uniform(size=len(seen.x)) < copied
     seen = seen._replace(copied=copies)
     if lone is None:
-        return scores(fit, outline, K, t, seen, seen)[0]
+        return scores(fit, outline, K, t, seen, seen, nearer)[0]
     strays = seen_below(outline, rho.mean(), lone, ground)
     strays = strays._replace(stray=np.full(len(strays.x), LONE_OUTLIER))
     every = Seen(*map(np.concatenate, zip(seen, strays, strict=True)))
@@ -108,6 +108,10 @@ def test_what_goes_on_below_its_outline_stands_there():
 def test_what_seems_to_hover_needs_ground_below_that_is_seen():
     assert score(12.0, (0, 0, -1.5)) > score(12.0, (0, 0, -1.5), below='nothing') + 7
     assert score(12.0, (0, 0, -1.5), below='nothing') < 2
+
+
+def test_nothing_hovers_over_a_ground_that_may_lie_nearer():
+    assert score(12.0, (0, 0, -1.5), nearer=2.0) < 2 < 9 < score(12.0, (0, 0, 1.0), nearer=2.0)
 
 
 def test_lone_vectors_tell_of_the_ground_below_too_but_less():
