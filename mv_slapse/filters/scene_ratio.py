@@ -14,7 +14,6 @@ from mv_slapse.filters import ekf
 from mv_slapse.filters.scene_gate import RATIO_GATE
 from mv_slapse.filters.scene_observations import Observation, Observe
 from mv_slapse.filters.scene_state import (
-    FAINT,
     log_baseline,
     relative_motion,
     relative_motion_jacobian,
@@ -25,6 +24,9 @@ from mv_slapse.records import CameraMotion, Extraction
 import numpy as np
 
 RELIEF = 0.03  # depth of a surface about its plane, as a share of depth: no depth counts for more
+# Of the log of a baseline: beyond, it may as well be none at all. Guessed after a rest it is
+# unsure by 1 (scene.REST_SIGMA): the pairs after it keep to that guess, or each would guess anew.
+VAGUE = 1.2
 MAX_SPREAD = 0.2  # a depth's error, as a share of it, beyond which it does not count
 
 
@@ -132,7 +134,7 @@ def begin(state: SceneState, depths: Depths, sigma: float) -> bool:
     change, by_state = depths.change(state)
     state.depth_scale = value - change
     at = state.at('depth_scale')
-    if H @ state.P @ H > FAINT**2:
+    if H @ state.P @ H > VAGUE**2:
         state.error.P[at], state.error.P[:, at], state.error.lasting[at] = 0, 0, 0
         return False
     F = np.eye(state.size)

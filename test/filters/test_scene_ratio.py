@@ -78,6 +78,15 @@ def test_a_new_depth_scale_is_the_baseline_and_shares_its_error(state):
     assert state.P[at, at].item() == pytest.approx(expected @ H + 0.02**2)
 
 
+@pytest.mark.parametrize(('sigma', 'carried'), [(1.0, True), (1.5, False)])
+def test_a_baseline_guessed_after_a_rest_gives_the_depths_a_scale(sigma, carried):
+    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
+    state.current.t = np.array([0, 0, 0.1])
+    at = state.at('current')
+    state.error.P[at, at] = np.diag([0, 0, 0, 0, 0, (0.1 * sigma)**2])
+    assert scene_ratio.begin(state, depths_with(np.zeros(6), state), 0.006) is carried
+
+
 def test_a_baseline_next_to_zero_gives_the_depths_no_scale(state):
     depths = depths_with(np.zeros(6), state)
     state.current.t = state.previous.t + 1e-3
