@@ -37,6 +37,7 @@ CLEARANCE = 0.06  # logarithm of that ratio: what is left when the next is taken
 OUTLIER = 0.05  # density of a wrong vector's depth, to the peak of a right one's
 UNDERBODY = 0.25  # share of the camera's height above the ground where bodies end: 0.4 m of 1.65
 LEAST_REACH = 28.0  # px below a region in which the ground is looked for
+HALF_COVERED = 5.0  # px over which blocks below a body cease to show it: 4 of 10 at 4, 1 at 16
 SHOWN = 0.15  # share of this place that shows ground that is surely there: fast roads do 0.18
 UNSEEN = 8.0  # largest score of what looks below the ground, where that is not seen
 DEPENDENCE = 2.0  # blocks below or above a region that tell as much as one
@@ -368,7 +369,8 @@ def _ground_below(outline, i, ratio, seen):
 
     A still thing that looks ``ratio`` times nearer than the ground at its foot reaches down to
     where the ground is as near; terrain that looks farther goes on as such. Dark bodywork has no
-    vectors; what has some shows either the ground's depth or the region's.
+    vectors; what has some shows either the ground's depth or the region's, and what is nearer than
+    both, as a hedge's foot, is no ground. A block that a body in the air covers in part shows it.
     """
     drop = outline.drop[i]
     if not np.isfinite(drop):
@@ -380,9 +382,12 @@ def _ground_below(outline, i, ratio, seen):
     under = seen.under[at]
     near = ratio * (outline.under[i] if ratio > 1 else under)
     sigma = np.hypot(seen.sigma[at], GROUND_SIGMA * np.maximum(under, near))
-    ground, region = (np.log(np.exp(-0.5 * ((seen.rho[at] - rho) / sigma)**2) + seen.stray[at])
-                      for rho in (under, near))
+    nearest = np.where((ratio > 1) & (near > under), np.minimum(seen.rho[at], near), seen.rho[at])
+    body = np.exp(-0.5 * ((nearest - near) / sigma)**2)
+    covered = np.exp(-below[at] / HALF_COVERED) if ratio > 1 else 0.0
+    road = np.exp(-0.5 * ((seen.rho[at] - under) / sigma)**2)
+    ground, region = np.log(road + covered * body + seen.stray[at]), np.log(body + seen.stray[at])
     # The road must show itself on some of the place.
-    shown = np.sum(ground > region) * lattice.MACROBLOCK**2 / (outline.size[i, 0] * reach)
+    shown = np.sum(road > body) * lattice.MACROBLOCK**2 / (outline.size[i, 0] * reach)
     evidence = 2 * np.sum(ground - region) / DEPENDENCE
     return float(evidence * (min(shown / SHOWN, 1.0) if evidence > 0 else 1.0))

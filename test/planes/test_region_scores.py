@@ -2,6 +2,7 @@
 
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry.camera import to_pixels, to_rays
+from mv_slapse.planes import region_scores
 from mv_slapse.planes.lone_vectors import LONE_OUTLIER
 from mv_slapse.planes.moving import fit_surfaces, Regions
 from mv_slapse.planes.region_scores import (
@@ -30,8 +31,9 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
           lone=None, nearer=1.0):
     """Return the score of an upright face at a depth that moves by ``motion`` in the pair.
 
-    Blocks below it show the ``ground``, the ``face``'s own depth, ``terrain`` that goes on as
-    the face's foot lies, or ``nothing``, and so do ``lone`` vectors; those ``above`` it the
+    Blocks below it show the ``ground``, the ``face``'s own depth, what is ``nearer``, ``half`` of
+    it (the face in the first row), ``terrain`` that goes on as the face's foot lies, or
+    ``nothing``, and so do ``lone`` vectors; those ``above`` it the
     'ground' or the 'face'. Of all vectors a share is ``copied``; those of the face are of some
     ``kinds``, or all differ; the camera ``turned`` them [px].
     """
@@ -75,7 +77,9 @@ def seen_below(outline, rho, below, ground):
     """Return the blocks of the picture below a face with an apparent inverse depth."""
     x = GRID[GRID[:, 1] > max(outline.foot[0, 1], FIRST_ROW)]
     under = np.zeros(len(x)) if ground is None else -to_rays(K, x) @ ground
+    half = np.where(x[:, 1] < outline.foot[0, 1] + 16, rho, under)
     shown = {'ground': under, 'face': np.full(len(x), rho), 'nothing': under,
+             'nearer': np.full(len(x), 1.5 * rho), 'half': half,
              'terrain': under * rho / max(outline.under[0], 1e-9)}[below]
     kept = slice(None, 0 if below == 'nothing' else None)
     return seen_as(x[kept], shown[kept], under[kept])
@@ -103,6 +107,17 @@ def test_what_moves_on_the_ground_scores(motion):
 def test_what_goes_on_below_its_outline_stands_there():
     assert score(12.0, high=(1.0, 1.0), below='face') < 0
     assert score(12.0, (0, 0, -1.5), below='face') < 0
+
+
+def test_what_is_nearer_than_both_below_an_outline_is_no_ground_either():
+    assert score(12.0, (0, 0, -1.5), below='nearer') == score(12.0, (0, 0, -1.5), below='face')
+
+
+def test_a_body_in_the_air_may_cover_half_of_the_blocks_below_it(monkeypatch):
+    covered = score(20.0, (0, 0, -1.0), below='half')
+    assert covered > score(20.0, (0, 0, -1.0), below='face') + 5
+    monkeypatch.setattr(region_scores, 'HALF_COVERED', 1e-3)
+    assert covered > score(20.0, (0, 0, -1.0), below='half') + 0.5
 
 
 def test_what_seems_to_hover_needs_ground_below_that_is_seen():
