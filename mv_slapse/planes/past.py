@@ -23,7 +23,8 @@ FARTHER = 0.06  # log of the depth: what motion and common errors of vectors mak
 SIGMAS = 2.0  # and as many standard deviations of the block's own
 AWAY = 0.4  # of the same: 5 m before the camera a car may gain as much in this time; more is wrong
 LEAST_LEFT = 4  # of nine macroblocks: what departs is a body, and wrong vectors are scattered
-LEAVING, STRAYING = 0.4, 0.005  # share of departed blocks: of a car that starts, of what stands
+# Share of departed blocks: of a car that starts (0.7 to 1 as measured), and of what stands.
+LEAVING, STRAYING = 0.75, 0.005
 SECOND = 1e9  # [ns]
 
 
