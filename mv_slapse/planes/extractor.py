@@ -281,7 +281,9 @@ class PlaneExtractor:
         belief, prior, road = ground.survey(
             depths, pair.sigma, evidence, lone, self._ground_prior(whole, fit, ratio),
             memory.height.moved(*memory.log_ratio(whole, ratio)), self._settings.epsilon_h,
-            rotation.angle(fit.R_cur_from_prev), memory.is_comparable(whole, ratio))
+            # What flies has no way on the ground.
+            memory.ground.mount.rides * rotation.angle(fit.R_cur_from_prev),
+            memory.is_comparable(whole, ratio))
         self._memory = replace(memory, height=belief)
         return prior, road
 
