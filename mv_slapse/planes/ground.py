@@ -170,7 +170,8 @@ class GroundTrack:
     def seen(self, id: int, plane: np.ndarray, covariance: np.ndarray) -> 'GroundTrack':
         """Return the track after the ground was found, with its covariance (3, 3)."""
         square = plane @ plane
-        radial = plane @ covariance @ plane / square
+        # Of a pair that tells next to nothing rounding leaves a variance below zero.
+        radial = max(plane @ covariance @ plane, 0) / square
         tilt = np.sqrt(max(np.trace(covariance) - radial, 0) / 2 / square)
         return GroundTrack(self.mount, id, plane, float(np.sqrt(radial / square)), float(tilt))
 

@@ -196,6 +196,11 @@ def test_movers_are_told_by_the_farthest_ground_that_many_pairs_allow():
     assert ground.for_movers(None, FRESH, believed(np.log(2.0), 0.6)) == (None, 1.0)
 
 
+def test_a_variance_that_rounding_made_negative_is_none():
+    track = ground.GroundTrack(ground.Mount()).seen(3, ROAD, -1e-12 * np.eye(3))
+    assert (track.spread, track.tilt) == (0, 0)
+
+
 def test_upright_informs_of_the_direction_only():
     prior = GroundPrior(UP, 0.02, 0.5, 0.05)
     mean, information = prior.upright(0.4 * pitched(0.02))
