@@ -27,8 +27,11 @@ def only(whole: Extraction, rows: np.ndarray) -> Extraction:
 
 
 def scene(whole: Extraction, x: np.ndarray, settings: ExtractionSettings) -> np.ndarray:
-    """Return the rows whose pixels (N, 2) do not show the vehicle itself."""
-    share = (x + 0.5) / (whole.width, whole.height)
+    """Return the rows whose pixels (N, 2) do not show the vehicle itself.
+
+    The middle of a macroblock that the edge cuts may lie beyond it.
+    """
+    share = ((x + 0.5) / (whole.width, whole.height)).clip(0, 1)
     return np.flatnonzero(
         (share[:, 0] >= settings.own_left) & (share[:, 0] <= 1 - settings.own_right)
         & (share[:, 1] >= settings.own_top) & (share[:, 1] <= 1 - settings.own_bottom))

@@ -58,6 +58,15 @@ def test_the_vehicle_itself_fills_a_margin_of_the_picture(side):
     assert set(rows) == set(range(5)) - {gone}
 
 
+def test_without_margins_blocks_that_the_edge_cuts_are_used():
+    blank = Extraction(1, 0, 1242, 374, 0, K, CameraMotion(MotionStatus.UNKNOWN))
+    x = grid_centres(1242, 374)
+    assert np.any(x[:, 1] >= 374)
+    assert len(pairs.scene(blank, x, ExtractionSettings())) == len(x)
+    kept = pairs.scene(blank, x, ExtractionSettings(own_bottom=0.01))
+    assert np.all(x[kept, 1] < 374)
+
+
 @pytest.mark.parametrize(('bottom', 'least', 'most'), [(0.0, 0.5, 1.0), (0.3, 0.0, 0.0)])
 def test_what_shows_the_vehicle_has_no_label(rng, bottom, least, most):
     street = Street(StreetSettings(seed=3, n_frames=12))
