@@ -6,7 +6,7 @@ Pure functions of the evidence; the filters act on what they return.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mv_slapse.config import ObstacleSettings
+from mv_slapse.config import ExtractionSettings, ObstacleSettings
 from mv_slapse.filters import ekf
 import numpy as np
 
@@ -19,7 +19,7 @@ OVERLAP_GAIN, EVEN_OVERLAP, LEAST_OVERLAP = 9.0, 0.78, 0.5
 ONE_BODY = 1.2  # of it, at which a body is believed: three to one
 # Chi-square at which labels call a region moving, and beyond it for a unit of that: wrong vectors
 # do not last, of 37 regions in kitti00, parking and crossings the highest but one came to 26.
-EVEN_SCORE, PER_SCORE = 13.0, 15.0
+EVEN_SCORE, PER_SCORE = ExtractionSettings.moving_score, 15.0
 USUAL_STARTS = 0.7  # [1/s] tracks that come to nothing, of streams with enough bits: 0.1 to 0.7
 INDEPENDENT = 0.1  # [s] after which an outline of wrong vectors is another one
 STILL_SHARE = 0.6  # of an obstacle's blocks that the labels call stationary

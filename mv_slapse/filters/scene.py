@@ -258,7 +258,7 @@ class SceneFilter:
     def _correct(self, extraction: Extraction, follows: bool):
         """Update with the pair's correspondences and with what is known of the scale."""
         first = not self._progress.started or self._progress.anew
-        turn = float(np.linalg.norm(rotation.log(extraction.motion.R_cur_from_prev)))
+        turn = rotation.angle(extraction.motion.R_cur_from_prev)
         way = self._way(extraction.previous_stamp, turn)
         self._ride = self._ride.kept(self._state, extraction.motion)
         self._progress.anew, baseline = False, self._baseline(extraction, way)
@@ -273,7 +273,7 @@ class SceneFilter:
         index = np.full(len(pair), -1)
         for i, id in enumerate(ids):
             index[plane_id == id] = i
-        depths = scene_ratio.depths_of(pair, extraction.motion, settings.dependence)
+        depths = scene_ratio.depths_of(pair, extraction.motion, settings)
         ratio = (scene_ratio.told(self._state, extraction, depths, settings)
                  if follows and self._progress.carried else [])
         if ratio:

@@ -23,7 +23,6 @@ from mv_slapse.geometry import epipolar, rotation, two_view
 from mv_slapse.records import CameraMotion, Extraction
 import numpy as np
 
-RELIEF = 0.03  # depth of a surface about its plane, as a share of depth: no depth counts for more
 # Of the log of a baseline: beyond, it may as well be none at all. Guessed after a rest it is
 # unsure by 1 (scene.REST_SIGMA): the pairs after it keep to that guess, or each would guess anew.
 VAGUE = 1.2
@@ -63,18 +62,18 @@ class Depths:
         return float(value), H
 
 
-def depths_of(pair: two_view.Pair, motion: CameraMotion, dependence: float) -> Depths:
-    """Return what the stationary blocks of a pair (N,) tell; their vectors' ``dependence``."""
+def depths_of(pair: two_view.Pair, motion: CameraMotion, settings: SceneSettings) -> Depths:
+    """Return what the stationary blocks of a pair (N,) tell, none more than its relief lets it."""
     R, t = motion.R_cur_from_prev, motion.t_cur_from_prev
     rho, J = epipolar.inverse_depth_jacobian(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
     sigma = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)[1] * pair.sigma
     sure = sigma < MAX_SPREAD * rho
     slope = np.zeros(6)
     if sure.any():
-        weight = 1 / (np.square(sigma[sure] / rho[sure]) + RELIEF**2)
+        weight = 1 / (np.square(sigma[sure] / rho[sure]) + settings.relief**2)
         slope = weight @ (J[sure] / rho[sure, None]) / weight.sum()
     slope[3:] -= t * (t @ slope[3:])
-    return Depths(R, t, slope, float(slope @ motion.covariance @ slope) * dependence)
+    return Depths(R, t, slope, float(slope @ motion.covariance @ slope) * settings.dependence)
 
 
 def told(state: SceneState, extraction: Extraction, depths: Depths,

@@ -7,11 +7,12 @@ from mv_slapse.config import SceneSettings
 from mv_slapse.filters import scene_gate, scene_observations
 from mv_slapse.filters.scene_observations import Observe
 from mv_slapse.filters.scene_progress import Progress
-from mv_slapse.filters.scene_state import FAINT, SceneState
+from mv_slapse.filters.scene_state import SceneState
 from mv_slapse.filters.speed_log import SpeedLog
 import numpy as np
 
 SOURCE = 'speed'  # as a source of the scale
+FAINT = 0.5  # sigma of a way as a share: beyond, it may as well be none at all
 SLOWEST = 0.05  # m/s, below which wheels turn too little to tell a speed
 
 

@@ -13,7 +13,6 @@ from mv_slapse.geometry import rotation
 import numpy as np
 
 CAMERA_BLOCKS = ('previous', 'current', 'velocity', 'omega')
-FAINT = 0.5  # of the log of a baseline: beyond, it may as well be none at all
 # Errors that are not estimated: turn by which all vectors err, place in their blocks that they
 # tell of, camera height, speed that is given, focal length.
 TURN, PLACE, HEIGHT, SPEED, FOCAL = slice(0, 3), slice(3, 5), slice(5, 6), slice(6, 7), 7

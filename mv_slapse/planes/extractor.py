@@ -277,13 +277,13 @@ class PlaneExtractor:
     def _survey(self, whole, pair, evidence, lone, fit: MotionFit, ratio):
         """Predict the ground, and tell which lone blocks (N,) bool lie on it."""
         memory = self._memory
+        # What flies has no way on the ground.
+        turn = rotation.angle(fit.R_cur_from_prev) if memory.ground.mount.rides else 0.0
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, whole.x_cur)
         belief, prior, road = ground.survey(
             depths, pair.sigma, evidence, lone, self._ground_prior(whole, fit, ratio),
             memory.height.moved(*memory.log_ratio(whole, ratio)), self._settings.epsilon_h,
-            # What flies has no way on the ground.
-            memory.ground.mount.rides * rotation.angle(fit.R_cur_from_prev),
-            memory.is_comparable(whole, ratio))
+            turn, memory.is_comparable(whole, ratio))
         self._memory = replace(memory, height=belief)
         return prior, road
 

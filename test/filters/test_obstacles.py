@@ -144,18 +144,24 @@ def test_a_stopped_car_whose_labels_turn_stationary_is_handed_over(rng):
     assert 1.7 < handed[0][0] < 2.2
 
 
-def test_tracks_that_come_to_nothing_are_counted(rng, monkeypatch):
-    rates, confirms = [], obstacles_module.management.confirms
+def questions(monkeypatch):
+    """Return where the rate of false starts and `alone` go with which tracks are judged."""
+    asked, confirms = [], obstacles_module.management.confirms
 
     def noted(evidence, is_metric, settings, false_starts, alone):
-        rates.append(false_starts)
+        asked.append((false_starts, alone))
         return confirms(evidence, is_metric, settings, false_starts, alone)
     monkeypatch.setattr(obstacles_module.management, 'confirms', noted)
-    tracker = ObstacleTracker(SETTINGS)
+    return asked
+
+
+def test_tracks_that_come_to_nothing_are_counted(rng, monkeypatch):
+    asked, tracker = questions(monkeypatch), ObstacleTracker(SETTINGS)
     for i in range(60):
         drive = Drive((Mover(i + 1, (3.0 * (-1)**i, rng.uniform(8.0, 30.0)), (0, 10)),))
         tracker.step(drive.extraction(i * DT, (i + 1) * DT, rng),
                      drive.scene(i * DT, (i + 1) * DT, rng))
+    rates = [false_starts for false_starts, _ in asked]
     assert rates[0] == 0
     assert obstacles_module.management.USUAL_STARTS < rates[-1] < 1 / DT
 
@@ -345,13 +351,9 @@ def test_the_same_input_gives_the_same_obstacles():
 
 
 def test_what_lies_before_or_behind_an_obstacle_is_not_alone(rng, monkeypatch):
-    asked, confirms = [], obstacles_module.management.confirms
-
-    def noted(evidence, is_metric, settings, false_starts, alone):
-        asked.append(alone)
-        return confirms(evidence, is_metric, settings, false_starts, alone)
-    monkeypatch.setattr(obstacles_module.management, 'confirms', noted)
+    asked = questions(monkeypatch)
     behind = Mover(2, (0.9, 32), (2, 9))  # comes out at the side when it is first seen
     run(Drive((*CASES['slower'].movers, behind), hidden={2: lambda now: now < 1.0}), rng)
-    assert asked[0]
-    assert not all(asked)
+    alone = [alone for _, alone in asked]
+    assert alone[0]
+    assert not all(alone)

@@ -52,13 +52,13 @@ def test_a_motion_that_errs_makes_depths_wrong_by_what_their_slope_says():
                          scene.t, np.eye(6) * 1e-8)
     state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
     state.current = Pose(scene.R.T, -scene.R.T @ scene.t)
-    depths = scene_ratio.depths_of(pair, wrong, 2.0)
+    depths = scene_ratio.depths_of(pair, wrong, replace(SceneSettings(), dependence=2.0))
     change, _ = depths.change(state)
     rho, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal,
                                             wrong.R_cur_from_prev, scene.t)
     true, _ = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, scene.R, scene.t)
     sure = SIGMA * per_pixel < scene_ratio.MAX_SPREAD * rho
-    weight = 1 / (np.square(SIGMA * per_pixel / rho) + scene_ratio.RELIEF**2)[sure]
+    weight = 1 / (np.square(SIGMA * per_pixel / rho) + SceneSettings().relief**2)[sure]
     expected = weight @ np.log(true[sure] / rho[sure]) / weight.sum()
     assert abs(expected) > 0.003
     assert change == pytest.approx(expected, rel=0.1)
