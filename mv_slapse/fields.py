@@ -243,7 +243,7 @@ def _observation_to_fields(plane: PlaneObservation) -> Fields:
             'n_macroblocks': int(plane.n_macroblocks), 'plane': _flat(plane.plane),
             'covariance': _flat(plane.covariance), 't_d': _flat(plane.t_d),
             'product': _flat(plane.product), 'scale_prior': int(plane.scale_prior),
-            'score': float(plane.score)}
+            'score': float(plane.score), 'departed': float(plane.departed)}
 
 
 def _observation_from_message(msg: Any) -> PlaneObservation:
@@ -252,7 +252,7 @@ def _observation_from_message(msg: Any) -> PlaneObservation:
         int(msg.id), Label(msg.label), _flat(msg.plane),
         _matrix(covariance, 6 if covariance.size == 36 else 3), _flat(msg.t_d),
         _matrix(msg.product, 3), ScalePrior(msg.scale_prior), bool(msg.is_ground),
-        int(msg.n_macroblocks), float(msg.score))
+        int(msg.n_macroblocks), float(msg.score), float(msg.departed))
 
 
 def _map_plane_to_fields(plane: MapPlane, frames: RosFrames) -> Fields:

@@ -59,8 +59,9 @@ class Detection:
     scale_prior : ScalePrior
     edge : Edge
         Where it meets the ground; only read where the depth is evidence.
-    score : float
-        How much rather its region moves than not, as of PlaneObservation.
+    score, departed : float, float
+        How much rather its region moves than not, and has left where it stood, as of
+        PlaneObservation.
     """
 
     id: int
@@ -72,6 +73,7 @@ class Detection:
     scale_prior: ScalePrior
     edge: Edge
     score: float = 0.0
+    departed: float = 0.0
 
     @property
     def box(self) -> np.ndarray:
@@ -102,7 +104,7 @@ def detections(extraction: Extraction, view: View, settings: ObstacleSettings) -
         scale = np.repeat([1 / view.unit, view.unit], 3)
         found.append(_detection(plane.id, scale * np.r_[plane.plane, plane.t_d],
                                 plane.covariance * np.outer(scale, scale), x, block,
-                                plane.scale_prior, view, plane.score))
+                                plane.scale_prior, view, plane.score, plane.departed))
     found = [_on_ground(blurred(item, view, settings), view) for item in found
              if item is not None]
     return sorted(found, key=lambda item: (-len(item.x), item.id))
@@ -174,7 +176,7 @@ def _blocks(extraction, plane_id):
     return x[largest], block[largest]
 
 
-def _detection(id_, state, covariance, x, block, prior, view, score=0.0):
+def _detection(id_, state, covariance, x, block, prior, view, score=0.0, departed=0.0):
     """Return the Detection of (plane, t_d) in the camera [map unit], None if behind it."""
     box = box_of(x, block)
     centre = _centre(box, view)
@@ -192,7 +194,7 @@ def _detection(id_, state, covariance, x, block, prior, view, score=0.0):
     contact = moving_plane.contact(x, block)
     return Detection(id_, np.r_[centre, theta[order] * scale], R,
                      prior is ScalePrior.GROUND_CONTACT, x, block, prior,
-                     _edge(contact, R[2, 2]), score)
+                     _edge(contact, R[2, 2]), score, departed)
 
 
 def _centre(box, view):

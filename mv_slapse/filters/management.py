@@ -42,6 +42,8 @@ class Evidence(NamedTuple):
         Intersection over union of the detection's box and the predicted one.
     score : float
         Of its region, that it moves, chi-square summed over key frame pairs; 0: not known.
+    departed : float
+        The same of what shows that it has left where it stood.
     """
 
     start: int
@@ -52,13 +54,15 @@ class Evidence(NamedTuple):
     speed: float
     overlap: float = 1.0
     score: float = 0.0
+    departed: float = 0.0
 
 
 def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSettings,
              false_starts: float = 0.0, alone: bool = True) -> bool:
     """Return whether a track's evidence makes it an obstacle that a planner may brake for.
 
-    A velocity that differs from zero after all of them, of detections that are one body, in
+    A velocity that differs from zero after all of them, or a place that they have left, of
+    detections that are one body, in
     enough pairs over enough time. The more tracks come to nothing (``false_starts``, [1/s]), the
     less likely the next one is an obstacle, and the surer it must be. That a region's score lasts
     tells of a body of its own where the track is ``alone``: no other obstacle's box meets its own.
@@ -67,7 +71,9 @@ def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSe
     if len(recent) < settings.confirm_pairs:
         return False
     newest, slowest = recent[-1], settings.min_speed if is_metric else 0.0
-    moves = newest.statistic > ekf.chi2_bound(settings.moving_confidence, 3)
+    # Of a car that starts the place tells before its speed does.
+    statistic = newest.statistic + max(newest.departed - EVEN_SCORE, 0.0)
+    moves = statistic > ekf.chi2_bound(settings.moving_confidence, 3)
     lasted = 1e-9 * (newest.stamp - recent[0].start)
     sure = ONE_BODY + np.log(max(false_starts / USUAL_STARTS, 1.0))
     first_only = not any(e.dof for e in evidence)  # which only the settings can let suffice

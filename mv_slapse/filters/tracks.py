@@ -122,7 +122,8 @@ class Track:
         self.plane_id, self.x, self.block = detection.id, detection.x, detection.block
         if detection.has_depth:
             self.scale_prior, self.edge = detection.scale_prior, detection.edge
-        self.witness(extraction, view, distance, dof, shared, detection.score)
+        self.witness(extraction, view, distance, dof, shared, detection.score,
+                     detection.departed)
 
     def contains(self, part: 'Detection | Track', view: View, gate: float) -> bool:
         """Return whether a detection, or another track, is a part of this obstacle."""
@@ -168,7 +169,7 @@ class Track:
         return replace(detection, z=z, R=R)
 
     def witness(self, extraction: Extraction, view: View, nis: float, dof: int,
-                overlap: float = 1.0, score: float = 0.0):
+                overlap: float = 1.0, score: float = 0.0, departed: float = 0.0):
         """Keep what the newest detection says, for plane management."""
         self.last_seen = extraction.stamp
         # A bumper ends above the road, so that what stands looks as if it came towards the camera.
@@ -177,7 +178,7 @@ class Track:
                                         view.scene_covariance, nearer)
         speed = float(np.linalg.norm(self.motion(view).velocity))
         self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic, nis,
-                                      dof, speed, overlap, score))
+                                      dof, speed, overlap, score, departed))
         self.evidence = within(self.evidence, KEPT_EVIDENCE)
 
     def height(self, view: View) -> float:
@@ -283,7 +284,7 @@ def start(detection: Detection, extraction: Extraction, view: View, track_id: in
     state.P[:] = detection.R
     track = Track(track_id, detection.id, state, detection.x, detection.block,
                   detection.edge, detection.scale_prior, extraction.stamp, extraction.stamp)
-    track.witness(extraction, view, 0.0, 0, score=detection.score)
+    track.witness(extraction, view, 0.0, 0, score=detection.score, departed=detection.departed)
     return track
 
 

@@ -108,3 +108,27 @@ class Memory:
 def _inside(x: np.ndarray, extraction: Extraction) -> np.ndarray:
     """Return which pixels (N, 2) lie in the picture."""
     return np.all((x >= -0.5) & (x < (extraction.width - 0.5, extraction.height - 0.5)), axis=1)
+
+
+def better_half(members: list[np.ndarray], score: np.ndarray) -> np.ndarray:
+    """Return the mean (R,) of the upper half of each region's known scores, 0: few are known.
+
+    Half, since a region of a few blocks came from cells that it held in part.
+    """
+    result = np.zeros(len(members))
+    for i, member in enumerate(members):
+        known = np.sort(score[member][np.isfinite(score[member])])
+        if 3 * len(known) >= len(member):
+            result[i] = known[len(known) // 2:].mean()
+    return result
+
+
+def majority(members: list[np.ndarray], ids: np.ndarray) -> np.ndarray:
+    """Return the id (R,) that most of each region's blocks come from, -1: less than a third."""
+    result = np.full(len(members), -1)
+    for i, member in enumerate(members):
+        known = ids[member][ids[member] >= 0]
+        if 3 * len(known) >= len(member):
+            values, count = np.unique(known, return_counts=True)
+            result[i] = values[count.argmax()]
+    return result

@@ -15,7 +15,7 @@ from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice
 from mv_slapse.planes.lone_vectors import with_lone
-from mv_slapse.planes.mover_memory import FIRST_ID, Memory
+from mv_slapse.planes.mover_memory import better_half, FIRST_ID, majority, Memory
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
 from mv_slapse.planes.region_scores import (
     Blocks,
@@ -43,6 +43,7 @@ LEAST_SIGMA = 0.25  # px, of a vector on a small surface, whatever the pair's ca
 SHAPE = 0.04  # share of a vector by which it errs as vehicles and people are no planes
 ON_GROUND = 0.2  # share of the ground's inverse depth within which a block is ground
 BELOW_GROUND = 0.7  # share of the ground's inverse depth below which nothing still can be
+RISING = (0.3, 2)  # share of a car's departed blocks off it, 0.3 to 1 as measured, and number
 FAR = 1.5  # px of parallax, less is far off,
 RESTING = 0.75  # px, or rests where the camera stands
 FADING = 0.85  # of the score from pair to pair
@@ -123,9 +124,9 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     found = _fitted(extraction, motion_field, members)
     score, left, before = memory.inherited(extraction)
     now, leaves = _scored(extraction, motion_field, found)
-    total = now + FADING * _better_half(members, score)
-    gone = np.maximum(leaves + FADING * _better_half(members, left), 0.0)
-    known = _majority(members, before)
+    total = now + FADING * better_half(members, score)
+    gone = np.maximum(leaves + FADING * better_half(members, left), 0.0)
+    known = majority(members, before)
     known = np.where(known >= 0, known, _covered(members, extraction))
     moves = _moves(members, motion_field, np.maximum(total, gone), known, threshold)
     ids, next_id = _named(members, moves, known, memory.next_id)
@@ -137,7 +138,7 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
         score[member], left[member], before[member] = values
     moving = sorted(np.flatnonzero(ids >= 0), key=lambda i: -len(members[i]))
     planes = {int(ids[i]): (members[i], _plane(extraction, motion_field, found, i),
-                            float(max(total[i], gone[i]))) for i in moving}
+                            float(max(total[i], gone[i])), float(gone[i])) for i in moving}
     return (_labelled(extraction, motion_field, planes),
             memory.after(extraction, score, left, before, next_id, FADING))
 
@@ -211,6 +212,11 @@ def _alike_pairs(motion_field):
     same &= (plane[a] == plane[b]) & ~motion_field.far[a] & ~motion_field.far[b]
     # A car ahead may move as what is far behind it does; but that is not farther than the ground.
     same &= motion_field.below[a] == motion_field.below[b]
+    a, b = a[same], b[same]
+    # What has left where it stood is no part of what stands there, behind it or above it.
+    sign = np.sign(motion_field.departure)
+    left = sign + np.bincount(a, sign[b], len(x)) + np.bincount(b, sign[a], len(x)) > 0
+    same = left[a] == left[b]
     return a[same], b[same]
 
 
@@ -260,9 +266,23 @@ def _scored(extraction, motion_field, found):
                        motion_field.level)
     score = scores(fit, outline, extraction.K, extraction.motion.t_cur_from_prev,
                    motion_field.seen, motion_field.seen_or_lone, motion_field.nearer)
-    leaves = departures(outline, np.add.reduceat(motion_field.departure[at], found.regions.first),
-                        motion_field.seen)
+    leaves = departures(outline, _departed(motion_field, found), motion_field.seen)
     return np.where(fits, score, 0.0), np.where(fits, leaves, 0.0)
+
+
+def _departed(motion_field, found):
+    """Return the log-likelihood (R,) that each region has left where it stood.
+
+    Where a mover was taken for something still the road is farther afterwards, too; but there
+    nothing rises from it.
+    """
+    first, likelihood = found.regions.first, motion_field.departure[found.at]
+    left, under = likelihood > 0, motion_field.seen.under[found.at]
+    rises = np.abs(motion_field.rho[found.at] - under) > ON_GROUND * under
+    likelihood, off_road, left = (np.add.reduceat(values.astype(float), first)
+                                  for values in (likelihood, left & rises, left))
+    body = off_road >= np.maximum(RISING[0] * left, RISING[1])
+    return np.where(body, likelihood, np.minimum(likelihood, 0.0))
 
 
 def _plane(extraction, motion_field, found, i) -> MovingPlane | None:
@@ -272,30 +292,6 @@ def _plane(extraction, motion_field, found, i) -> MovingPlane | None:
     return settled(found.fit.only(i, found.regions), motion_field.x[at], motion_field.block[at],
                    extraction.K, extraction.motion.t_cur_from_prev,
                    motion_field.ground if motion_field.nearer == 1 else None)
-
-
-def _better_half(members, score):
-    """Return the mean (R,) of the upper half of each region's known scores, 0: few are known.
-
-    Half, since a region of a few blocks came from cells that it held in part.
-    """
-    result = np.zeros(len(members))
-    for i, member in enumerate(members):
-        known = np.sort(score[member][np.isfinite(score[member])])
-        if 3 * len(known) >= len(member):
-            result[i] = known[len(known) // 2:].mean()
-    return result
-
-
-def _majority(members, ids):
-    """Return the id (R,) that most of each region's blocks come from, -1: less than a third."""
-    result = np.full(len(members), -1)
-    for i, member in enumerate(members):
-        known = ids[member][ids[member] >= 0]
-        if 3 * len(known) >= len(member):
-            values, count = np.unique(known, return_counts=True)
-            result[i] = values[count.argmax()]
-    return result
 
 
 def _covered(members, extraction):
@@ -348,7 +344,7 @@ def _grown(extraction, motion_field, moving):
     for member, *_ in moving:
         free[member] = False
     grown = []
-    for member, fit, _ in moving:
+    for member, fit, *_ in moving:
         x = motion_field.x[member]
         low, high = x.min(axis=0) - lattice.MACROBLOCK, x.max(axis=0) + lattice.MACROBLOCK
         # Of a car ahead the part near the horizon is never clearly farther than the ground.
@@ -371,16 +367,16 @@ def _grown(extraction, motion_field, moving):
 
 
 def _labelled(extraction, motion_field, planes):
-    """Write moving planes {id: (member, plane, score)} over what their blocks were taken for."""
+    """Write moving planes {id: (member, plane, score, departed)} over blocks' first labels."""
     label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
     planes = {id_: plane for id_, plane in planes.items() if plane[1] is not None}
     grown = _grown(extraction, motion_field, planes.values())
     found = []
-    for (id_, (_, fit, score)), member in zip(planes.items(), grown, strict=True):
+    for (id_, (_, fit, *told)), member in zip(planes.items(), grown, strict=True):
         label[member] = Label.MOVING
         plane_id[member] = id_
         found.append(PlaneObservation(
             id_, Label.MOVING, fit.plane, fit.covariance, fit.t_d, fit.product,
-            fit.scale_prior, False, lattice.count_macroblocks(extraction.x_cur[member]), score))
+            fit.scale_prior, False, lattice.count_macroblocks(extraction.x_cur[member]), *told))
     return replace(extraction, label=label, plane_id=plane_id,
                    planes=(*extraction.planes, *found))

@@ -22,9 +22,11 @@ LEAST_SEEN = 3  # of these nine, or an edge could be missed
 FARTHER = 0.06  # log of the depth: what motion and common errors of vectors make of it,
 SIGMAS = 2.0  # and as many standard deviations of the block's own
 AWAY = 0.4  # of the same: 5 m before the camera a car may gain as much in this time; more is wrong
+STOOD = 0.8  # of the ground's inverse depth and more where a vehicle was: as of what is ground
 LEAST_LEFT = 4  # of nine macroblocks: what departs is a body, and wrong vectors are scattered
 # Share of departed blocks: of a car that starts (0.7 to 1 as measured), and of what stands.
 LEAVING, STRAYING = 0.75, 0.005
+AT_EDGES = 0.05  # the latter where not all around was nearer: 5 to 8 %, not 1 to 2, of lone blocks
 SECOND = 1e9  # [ns]
 
 
@@ -105,7 +107,8 @@ def depths_of(pair: Pair, extraction: Extraction, evidence: Evidence, known) -> 
                   extraction.x_cur)
 
 
-def departure(past: Past, extraction: Extraction, depths: Depths) -> np.ndarray:
+def departure(past: Past, extraction: Extraction, depths: Depths,
+              ground: np.ndarray | None = None) -> np.ndarray:
     """Return how much rather blocks (N,) have left where they stood than not, log-likelihoods.
 
     Positive: a block is farther than all that stood there a while ago. 0: nothing is known.
@@ -117,6 +120,8 @@ def departure(past: Past, extraction: Extraction, depths: Depths) -> np.ndarray:
     extraction : Extraction
     depths : Depths
         Of its blocks, as if they stood still [1/baseline]; 0 where that is unknown.
+    ground : (3,) array, optional
+        Ground plane n / d in camera k [1/baseline]: no vehicle stood below it.
     """
     size, rho = (extraction.width, extraction.height), depths.rho
     at = grid_index(depths.x, *size)
@@ -127,12 +132,22 @@ def departure(past: Past, extraction: Extraction, depths: Depths) -> np.ndarray:
         extraction.stamp, extraction.K, size))
     # Near things outgrow what was seen of them: between its points the farthest around counts.
     far = np.where(np.isnan(inside), least, inside)
-    left = known & (far > sure) & (far < AWAY) & (least > 0)
+    left = known & (far > sure) & (far < AWAY)
+    if ground is not None:
+        left &= rho * np.exp(far) > STOOD * -(depths.rays @ ground)
+    left &= _about(at, left & (least > 0), size) > 0
+    left &= _about(at, left, size) >= LEAST_LEFT
+    stays = np.clip((sure - inside) / (sure - FARTHER), 0.0, 1.0)
+    stray = np.where(least > 0, STRAYING, AT_EDGES)
+    return np.where(left, np.log(LEAVING / stray), 0.0) + np.where(
+        known & (inside < sure), stays * np.log((1 - LEAVING) / (1 - STRAYING)), 0.0)
+
+
+def _about(at, those, size):
+    """Return how many of the macroblocks in and around those of blocks at (N,) hold some (N,)."""
     grid = np.zeros(grid_shape(*size)[::-1], bool)
-    grid.ravel()[at[left]] = True
-    left &= _around(grid).ravel()[at] >= LEAST_LEFT
-    return np.where(left, np.log(LEAVING / STRAYING), 0.0) + np.where(
-        known & (inside < sure), np.log((1 - LEAVING) / (1 - STRAYING)), 0.0)
+    grid.ravel()[at[those]] = True
+    return _around(grid).ravel()[at]
 
 
 def _around(grid: np.ndarray) -> np.ndarray:

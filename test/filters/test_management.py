@@ -62,6 +62,16 @@ def test_a_region_whose_score_lasts_needs_no_outline_if_it_is_alone():
     assert not management.confirms([*lasting, jumps[-1]], True, SETTINGS), 'the newest counts'
 
 
+@pytest.mark.parametrize(('departed', 'speed', 'confirmed'), [
+    (20.0, 5.0, True), (13.0, 5.0, False), (20.0, 0.1, False)],
+    ids=['gone', 'as wrong vectors go', 'too slow'])
+def test_a_place_that_was_left_tells_before_the_speed_does(departed, speed, confirmed):
+    starting = [item._replace(departed=departed) for item in evidence([5, 5], speed=speed)]
+    assert management.confirms(starting, True, SETTINGS) == confirmed
+    assert not management.confirms([item._replace(departed=0.0, score=departed)
+                                    for item in starting], True, SETTINGS)
+
+
 def test_what_two_short_pairs_show_counts_as_one_of_their_time():
     short = evidence([50] * 3, pair=PAIR // 2)
     assert management.one_body(short) == pytest.approx(management.one_body(evidence([50] * 2)))

@@ -203,6 +203,48 @@ def with_own_vectors(pair, own, vector):
                         seen=np.zeros(len(x), int))
 
 
+def standing_upright(pair, own, foot):
+    """Return a pair in which blocks (N,) bool stand on the ground at a row [px]."""
+    rho = (foot - 180) / 700 / 1.65
+    return with_own_vectors(pair, own, rho / (1 + rho) * (pair.x_cur - (320, 180)))[0]
+
+
+def after_departures(own, left, stays, pairs=3):
+    """Return what is found after pairs in which blocks have left and others stay as they were.
+
+    ``own`` has the motion of what stands on the ground, all else but the car that of the road.
+    """
+    memory = Memory()
+    for stamp in range(1, 1 + pairs):
+        pair, _, _, ground = behind_a_car_of_the_same_speed(stamp)
+        pair = standing_upright(pair, own(pair.x_cur), 300)
+        departure = np.where(left(pair.x_cur), 5.0, np.where(stays(pair.x_cur), -1.4, 0.0))
+        found, memory = with_moving_planes(pair, ground, memory, THRESHOLD / 2, None, departure)
+    return found
+
+
+def box(x0, y0, x1, y1):
+    return lambda x: np.all((x > (x0, y0)) & (x < (x1, y1)), axis=1)
+
+
+@pytest.mark.parametrize(('stood', 'moves'), [(True, 1.0), (False, 0.0)], ids=['body', 'road'])
+def test_where_only_road_is_farther_than_before_no_car_has_left(stood, moves):
+    body = box(480, 220, 580, 300)
+    found = after_departures(body if stood else box(0, 0, 0, 0), body, box(0, 0, 0, 0))
+    there = body(found.x_cur)
+    assert np.mean(found.label[there] == Label.MOVING) == pytest.approx(moves, abs=0.2)
+    assert all(plane.departed > 10 for plane in found.planes if plane.id in found.plane_id[there])
+
+
+def test_what_has_left_is_no_part_of_what_stands_beside_it_and_moves_alike():
+    car, both = box(480, 220, 580, 300), box(400, 60, 640, 300)
+    found = after_departures(both, car, lambda x: both(x) & ~car(x))
+    x = found.x_cur
+    assert np.mean(found.label[car(x)] == Label.MOVING) > 0.8
+    beyond = both(x) & ~box(450, 160, 610, 320)(x)  # as far as movers grow
+    assert not np.any(found.label[beyond] == Label.MOVING)
+
+
 def test_a_car_that_comes_near_is_one_region_though_its_vectors_differ():
     pair, car, _, ground = behind_a_car_of_the_same_speed(1)
     x = pair.x_cur.astype(float)

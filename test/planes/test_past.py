@@ -53,10 +53,11 @@ def drive(depth, pairs=6, rng=None, kept=slice(None)):
     return past, (pairs - 1) * PERIOD
 
 
-def judged(past, stamp, depths):
+def judged(past, stamp, depths, ground=None):
     """Return departures in the next key frame, the camera one baseline on."""
     stamp += PERIOD
-    return departure(past.carried(stamp, np.eye(3), AHEAD, 0.0), extraction_at(stamp), depths)
+    return departure(past.carried(stamp, np.eye(3), AHEAD, 0.0), extraction_at(stamp), depths,
+                     ground)
 
 
 def test_points_move_as_the_camera_and_its_baseline_tell(rng):
@@ -77,8 +78,36 @@ def test_what_stands_has_not_departed(rng):
 def test_what_goes_away_has_departed_but_not_what_is_behind_it(rng):
     depths, on = seen(14.0, 1.2, rng=rng)
     found = judged(*drive(15.0, rng=rng), depths)
-    assert np.mean(found[on] > 0) > 0.3  # all but its outline
+    assert np.mean(found[on] > 0) > 0.6  # its outline, too
     assert not np.any(found[~on] > 0)
+
+
+def test_blocks_at_an_outline_tell_less_than_those_within():
+    depths, on = seen(14.0, 1.2)
+    within = seen(14.0, 1.2, half=1.0)[1]
+    found = judged(*drive(15.0), depths)
+    left = found > 0
+    assert np.all(found[within & left] == pytest.approx(np.log(0.75 / 0.005)))
+    assert np.any(left & ~within)
+    assert np.min(found[left]) == pytest.approx(np.log(0.75 / 0.05))
+
+
+def test_what_has_not_quite_departed_tells_little(rng):
+    told = [judged(*drive(15.0), seen(14.0, gone)[0]) for gone in (1.0, 1.07)]
+    on = seen(14.0, 1.07)[1]
+    stays, unsure = (found[on & (found < 0)] for found in told)
+    assert np.median(stays) == pytest.approx(np.log(0.25 / 0.995))
+    assert np.median(stays) < np.median(unsure) < 0
+
+
+@pytest.mark.parametrize(('height', 'departs'), [(2.5, True), (1.2, False)])
+def test_no_vehicle_stood_below_the_ground(height, departs):
+    """The face hangs from 2 above to 2 below the camera: less of it is below a lower ground."""
+    depths, on = seen(14.0, 1.2)
+    low = on & (to_rays(K, CENTRES)[:, 1] * 14.0 * 1.2 > 1.6)
+    found = judged(*drive(15.0), depths, np.array([0.0, -1 / height, 0.0]))
+    assert np.any(found[low] > 0) == departs
+    assert np.any(found[on & ~low] > 0)
 
 
 def test_between_the_points_of_what_came_near_those_around_tell():
