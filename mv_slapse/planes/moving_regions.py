@@ -13,7 +13,7 @@ from typing import NamedTuple
 from mv_slapse.geometry import epipolar, moving_plane
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.homography import transfer
-from mv_slapse.planes import lattice
+from mv_slapse.planes import lattice, sunken
 from mv_slapse.planes.lone_vectors import with_lone
 from mv_slapse.planes.mover_memory import better_half, FIRST_ID, majority, Memory
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
@@ -36,6 +36,7 @@ REACH = 24.0  # px between centres of neighbours
 ALIKE = (1.0, 0.12, 0.06)  # px, share of the longer one: by how much neighbours' vectors may
                            # differ, and this share once the growth by depth is taken off
 ALIKE_SHORT = 0.15  # share of the median vector that the former is at most, down to a half
+ALIKE_BESIDE = 0.25  # share of a vector beside a region that it is at most, down to a half
 INSIDE = 2.5  # times as much within a region
 SAME_PLANE = 0.7  # share of a region and of a plane that they have in common if they are one
 LEAST = 4  # blocks, and as many macroblocks less a half
@@ -44,6 +45,7 @@ SHAPE = 0.04  # share of a vector by which it errs as vehicles and people are no
 ON_GROUND = 0.2  # share of the ground's inverse depth within which a block is ground
 BELOW_GROUND = 0.7  # share of the ground's inverse depth below which nothing still can be
 RISING = (0.3, 2)  # share of a car's departed blocks off it, 0.3 to 1 as measured, and number
+FITS = 3.0  # sigma of the epipolar error of a block whose apparent depth tells something
 FAR = 1.5  # px of parallax, less is far off,
 RESTING = 0.75  # px, or rests where the camera stands
 FADING = 0.85  # of the score from pair to pair
@@ -56,7 +58,8 @@ class _Field:
 
     ``ground_like`` blocks move as the ground does and have not left where they stood, ``far`` ones
     above the horizon do not move, ``below`` ones look farther than the ground that they would
-    hide. ``growth`` is what their depth makes the parallax grow by for each px outwards.
+    hide; those that ``fits`` tells of move along their epipolar lines. ``growth`` is what their
+    depth makes the parallax grow by for each px outwards.
     """
 
     x: np.ndarray
@@ -66,6 +69,7 @@ class _Field:
     ground_like: np.ndarray
     far: np.ndarray
     below: np.ndarray
+    fits: np.ndarray
     departure: np.ndarray
     growth: np.ndarray
     plane_id: np.ndarray
@@ -120,7 +124,8 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     departure = np.zeros(len(extraction.x_cur)) if departure is None else departure
     level = level if ground is None else ground
     motion_field = _motion_field(extraction, ground, level, departure, lone, nearer)
-    members = _alike(motion_field)
+    members = sunken.with_bodies(_alike(motion_field), motion_field,
+                                 (extraction.width, extraction.height), LEAST, REACH)
     found = _fitted(extraction, motion_field, members)
     score, left, before = memory.inherited(extraction)
     now, leaves = _scored(extraction, motion_field, found)
@@ -165,8 +170,9 @@ def _motion_field(extraction, ground, level, departure, lone, nearer):
     nearing = np.maximum(-rho * t[2], 0.0)
     seen = Seen(x, rho, noise, under, _copied(extraction), np.full(len(x), OUTLIER))
     return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far, below,
-                  departure, nearing / (1 + nearing), extraction.plane_id, ground, nearer, level,
-                  seen, with_lone(seen, lone, motion, ground))
+                  error < FITS, departure, nearing / (1 + nearing),
+                  extraction.plane_id, ground, nearer, level, seen,
+                  with_lone(seen, lone, motion, ground))
 
 
 def _copied(extraction):
@@ -357,7 +363,9 @@ def _grown(extraction, motion_field, moving):
         within = np.all((motion_field.x[near] >= x.min(axis=0))
                         & (motion_field.x[near] <= x.max(axis=0)), axis=1)
         # What a vehicle encloses is part of it, also where its vector is wrong or another face's.
-        slack = np.where(within, INSIDE, 1.0) * (ALIKE[0] + ALIKE[1] * length)
+        # Beside it a pixel would join all that hardly moves.
+        pixel = np.where(within, ALIKE[0], np.clip(ALIKE_BESIDE * length, 0.5, ALIKE[0]))
+        slack = np.where(within, INSIDE, 1.0) * (pixel + ALIKE[1] * length)
         # What is far behind a car ahead moves as it does, too.
         fits = (error < slack) & (within | ~motion_field.far[near])
         joins = near[fits | within & (extraction.label[near] == Label.UNKNOWN)]
