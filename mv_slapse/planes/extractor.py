@@ -244,7 +244,7 @@ class PlaneExtractor:
             prior.normal if rides else None, departure(
                 self._memory.past_at(blank, fit, ratio), blank,
                 depths_of(pair, blank, found.evidence, _with_depth(found.evidence)),
-                floor if rides else None), lone, nearer)
+                floor) if rides else None, lone, nearer)
         shown = replace(shown, planes=tuple(
             plane for plane in shown.planes if plane.label is Label.MOVING))
         still = shown.label != Label.MOVING
