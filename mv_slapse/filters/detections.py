@@ -15,6 +15,7 @@ import numpy as np
 from scipy.ndimage import label as components
 
 OUTLINE_SHARE = 0.08  # of a region's size: how well its blocks show its middle
+THINNEST = 0.25  # share of the most blocks in a row or column: a cabin has more of a body
 CUT_SHARE = 0.3  # the same where the picture's edge cuts it off
 SHAPE_SHARE = 0.03  # of a rate: vehicles are no planes, and their faces move apart
 HIDDEN_CONTACT_SIGMA = 0.3  # of ln Z where the picture's edge cuts the region off below
@@ -85,6 +86,26 @@ def box_of(x: np.ndarray, block: np.ndarray) -> np.ndarray:
     """Return the box (4,) around blocks: top left corner, width, height [px]."""
     low, high = np.min(x - block / 2, axis=0), np.max(x + block / 2, axis=0)
     return np.r_[low, high - low]
+
+
+def body_box(x: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Return the box (4,) between the first and last rows and columns that many blocks cover.
+
+    What is behind or beside a vehicle joins it with single blocks, which move every edge of the
+    box around them all.
+    """
+    low, high = x - block / 2, x + block / 2
+    first, last = np.transpose([_well_covered(low[:, axis], high[:, axis], block[:, 1 - axis])
+                                for axis in (0, 1)])
+    return np.r_[first, last - first]
+
+
+def _well_covered(low, high, thickness):
+    """Return the first and last place [px] that intervals cover thickly enough."""
+    at = np.unique(np.r_[low, high])
+    cover = thickness @ ((low[:, None] <= at[:-1]) & (high[:, None] > at[:-1]))
+    thick = np.flatnonzero(cover >= THINNEST * np.max(cover))
+    return at[thick[0]], at[thick[-1] + 1]
 
 
 def is_cut(box: np.ndarray, view: View) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import association, ekf
 from mv_slapse.filters import obstacle_motion as om
-from mv_slapse.filters.detections import box_of, Detection, Edge, is_cut
+from mv_slapse.filters.detections import body_box, box_of, Detection, Edge, is_cut
 from mv_slapse.filters.management import Evidence, within
 from mv_slapse.filters.view import View
 from mv_slapse.geometry.blocks import MACROBLOCK
@@ -95,7 +95,7 @@ class Track:
         # never known better than a share of it.
         Q[2, 2] += (EDGE_SHARE * self.edge.half / self.edge.drop)**2 * step.dt
         ekf.predict(self.state, mu, F, Q)
-        return bool(np.all(self.box(view)[2:] > 0))
+        return bool(np.all(self.body(view)[2:] > 0))
 
     def update(self, detection: Detection, extraction: Extraction, view: View,
                settings: ObstacleSettings):
@@ -198,6 +198,10 @@ class Track:
         """Return the box (4,) clipped to the picture [px]; no size where it is outside."""
         return clipped(box_of(self.x, self.block), view)
 
+    def body(self, view: View) -> np.ndarray:
+        """Return the same without what joins it in single blocks, which is what it publishes."""
+        return clipped(body_box(self.x, self.block), view)
+
     def time_to_contact(self) -> tuple[float, float]:
         """Return the time until the seen surface reaches the camera's plane, and its variance.
 
@@ -220,7 +224,7 @@ class Track:
         return Obstacle(
             self.id, stamp, state, view.plane_to_world(om.plane(self.mu))[0],
             view.to_world(motion.position), view.R_world_from_cam @ motion.velocity,
-            turn @ motion.covariance @ turn.T, *self.time_to_contact(), self.box(view),
+            turn @ motion.covariance @ turn.T, *self.time_to_contact(), self.body(view),
             self._outline(view), len(self.x), 1e-9 * (stamp - self.first_seen), self.last_seen,
             self.scale_prior)
 
@@ -268,8 +272,8 @@ class Track:
                              turn @ covariance @ turn.T)
 
     def _outline(self, view):
-        """Corners (4, 3) of the seen surface in {W}: its box on its plane."""
-        box = box_of(self.x, self.block)
+        """Return the corners (4, 3) of the seen surface in {W}: its box on its plane."""
+        box = body_box(self.x, self.block)
         corners = to_rays(view.K, box[:2] + box[2:] * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
         relative = np.clip(1 + (corners[:, :2] - self.mu[:2]) @ self.mu[om.SLOPE], 0.5, 2.0)
         return view.to_world(corners * (np.exp(self.mu[2]) / relative)[:, None])

@@ -27,7 +27,6 @@ WINDOW = 5  # cells, 40 px, over which blocks must tell together
 LEAST = 4.0  # log-likelihood in there that makes a body worth a closer look,
 FADED = 2.0  # at which it ends,
 CLEAR = 1.5  # and of each of its blocks: what lies beside a body is pulled along with it
-SMALLEST = 4  # blocks of a body, as of any region
 MANY = 6  # bodies of one pair that are looked at
 HALF_NORMAL = 0.6745  # median of the absolute value of a standard normal
 
@@ -67,7 +66,7 @@ def with_bodies(members: list[np.ndarray], field: Any, size: tuple[int, int], le
     size : (int, int)
         Width and height of the picture [px].
     least : int
-        Blocks of any other region, at least.
+        Blocks of a region, at least.
     reach : float
         Between centres of neighbours, at most [px].
     """
@@ -86,7 +85,7 @@ def with_bodies(members: list[np.ndarray], field: Any, size: tuple[int, int], le
         # What surrounds a larger one is no body: its vectors are pulled along.
         surrounds = len(beside) > len(body) and np.median(cKDTree(field.x[beside]).query(
             field.x[body])[0]) < reach
-        if len(body) >= SMALLEST and not surrounds:
+        if len(body) >= least and not surrounds:
             own = [member for member in left if len(member) >= least] + [body]
     return others + own
 

@@ -6,7 +6,7 @@ from drawn_movers import Drive, DT, K, Mover
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import obstacle_motion as om
 from mv_slapse.filters import tracks
-from mv_slapse.filters.detections import _moved, detections, joined
+from mv_slapse.filters.detections import _moved, body_box, box_of, detections, joined
 from mv_slapse.filters.view import view_of
 from numeric import jacobian
 import numpy as np
@@ -189,3 +189,40 @@ def tracks_after(velocity):
         track.predict(moment.step, moment.view, SETTINGS)
         track.update(moment.detection, moment.extraction, moment.view, SETTINGS)
     return track
+
+
+def lattice(columns, rows):
+    return 16 * np.array([(column, row) for column in columns for row in rows], float) + 8
+
+
+@pytest.mark.parametrize('stray', [(4, 1), (-1, 3), (2, -1), (0, 4)])
+def test_a_single_block_that_joins_a_body_does_not_widen_its_box(stray):
+    body = lattice(range(4), range(5)) if stray[1] in (1, 3) else lattice(range(5), range(4))
+    x = np.r_[body, lattice([stray[0]], [stray[1]])]
+    block = np.full(x.shape, 16.0)
+    np.testing.assert_array_equal(body_box(x, block), box_of(body, block[:-1]))
+    assert np.any(box_of(x, block) != box_of(body, block[:-1]))
+
+
+def test_cabins_gaps_and_small_blocks_are_in_the_box_of_a_body():
+    # A bonnet and a boot of one row, a cabin of two, half as wide; a column without a vector.
+    x = np.r_[lattice([0, 1, 3, 4], [2]), lattice([1, 3], [0, 1])]
+    block = np.full(x.shape, 16.0)
+    np.testing.assert_array_equal(body_box(x, block), [0, 0, 80, 48])
+    quarters = np.concatenate([x + offset for offset in 4.0 * np.array(
+        [(-1, -1), (-1, 1), (1, -1), (1, 1)])])
+    np.testing.assert_array_equal(body_box(quarters, np.full(quarters.shape, 8.0)),
+                                  [0, 0, 80, 48])
+
+
+def test_an_obstacle_is_published_without_the_block_that_joined_it(rng):
+    moment = Moment(0.5, rng)
+    track = moment.track()
+    before = track.obstacle(0, moment.view)
+    box = track.box(moment.view)
+    track.x = np.r_[track.x, [box[:2] + (box[2] + 8, 8)]]
+    track.block = np.r_[track.block, [[16, 16]]]
+    assert track.box(moment.view)[2] == pytest.approx(box[2] + 16)
+    after = track.obstacle(0, moment.view)
+    np.testing.assert_allclose(after.box, before.box)
+    np.testing.assert_allclose(after.outline, before.outline)
