@@ -68,7 +68,7 @@ class ObstacleTracker:
         expected = {track.plane_id: track.box(view) for track in self._tracks}
         found = [joined(group, view) for group in association.groups(
             detections(extraction, view, self._settings), self._settings.gate, expected,
-            self._may_be_one)]
+            lambda group: self._may_be_one(group, extraction))]
         free = self._continue(found, owners, extraction)
         self._search(extraction)
         free = self._absorb(free, extraction.stamp)
@@ -98,16 +98,17 @@ class ObstacleTracker:
             home = next((i for i in parts if self._tracks[i].contains(
                 item, self._view, self._settings.gate) and owners.get(
                     item.id, self._tracks[i].id) == self._tracks[i].id
-                and self._may_be_one([*parts[i], item])), None)
+                and self._may_be_one([*parts[i], item], extraction)), None)
             (free if home is None else parts[home]).append(item)
         for i, group in parts.items():
             self._tracks[i].update(joined(group, self._view), extraction, self._view,
                                    self._settings)
         return free
 
-    def _may_be_one(self, group):
+    def _may_be_one(self, group, extraction):
         """Return whether detections may be surfaces of one vehicle by the ground they cover."""
-        return footprint.may_be_one(joined(group, self._view), self._view)
+        return (footprint.may_be_one(joined(group, self._view), self._view)
+                and not footprint.stand_apart(group, extraction, self._view))
 
     def _search(self, extraction):
         """Look for the vectors of confirmed obstacles that the labels do not show."""

@@ -1,10 +1,11 @@
 """Which boxes one vehicle may fill, from the corners of drawn vehicles."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 from mv_slapse.filters import footprint
 from mv_slapse.filters.detections import Detection, Edge
-from mv_slapse.records import ScalePrior
+from mv_slapse.records import Label, ScalePrior
 import numpy as np
 import pytest
 
@@ -71,3 +72,49 @@ def test_without_scale_it_goes_by_the_height_of_the_camera():
                 scene_covariance=1e-4 * np.eye(3))
     assert footprint.may_be_one(whole(CARS[:4], (0, 14), unit=0.1), free)
     assert not footprint.may_be_one(whole(CARS, (0, 14), unit=0.1), free)
+
+
+# A car ahead at 10 m, and one in the lane beside it at 22 m; a lorry's rear and its side.
+NEAR, FAR = vehicle(-1.0, 10.0, 1.8, 4.5)[::2], vehicle(2.5, 22.0, 1.8, 4.5)[::2]
+REAR, SIDE = [(-4.2, 12.0), (-1.7, 12.0)], [(-1.7, 16.0), (-1.7, 24.0)]
+
+
+def scene_with(label, *surfaces):
+    """Return an extraction whose blocks have a label below the second of two surfaces."""
+    box = surfaces[1].box
+    lowest = max(item.edge.row for item in surfaces)
+    x, y = np.meshgrid(np.arange(box[0], box[0] + box[2], 8),
+                       np.arange(surfaces[1].edge.row + 1, min(lowest, 700), 8))
+    return SimpleNamespace(x_cur=np.c_[x.ravel(), y.ravel()], label=np.full(x.size, label))
+
+
+def stand_apart(near, far, velocity, label=Label.STATIONARY, seen=None, **changes):
+    surfaces = [whole(near, velocity, **changes), whole(far, velocity, **changes)]
+    if np.ptp(far, axis=0)[1] > 0:  # its farther end is seen higher
+        ends = surfaces[1].x - (0, 700 * HEIGHT) * np.c_[[0, 1 / far[0][1] - 1 / far[1][1]]]
+        surfaces[1] = replace(surfaces[1], x=ends)
+    return footprint.stand_apart(surfaces, scene_with(label, *surfaces), seen or view())
+
+
+def test_cars_behind_each_other_stand_apart_where_the_road_shows_between_them():
+    assert stand_apart(NEAR, FAR, (0, 14))
+    assert not stand_apart(NEAR, FAR, (0, 14), Label.MOVING)
+    assert not stand_apart(NEAR, FAR, (0, 14), Label.UNKNOWN)
+
+
+def test_what_hides_all_the_road_below_is_any_part_of_a_vehicle():
+    surfaces = [whole(NEAR, (0, 14)), whole(FAR, (0, 14))]
+    nothing = SimpleNamespace(x_cur=np.zeros((0, 2)), label=np.zeros(0, int))
+    assert not footprint.stand_apart(surfaces, nothing, view())
+
+
+def test_rear_and_side_of_a_lorry_do_not_stand_apart():
+    assert not stand_apart(REAR, SIDE, (0, 14))
+    # That side and the rear of what drives in the next lane do.
+    assert stand_apart([(-7.5, 12.0), (-5.0, 12.0)], SIDE, (0, 14))
+
+
+def test_of_unknown_heading_or_distance_nothing_stands_apart():
+    assert not stand_apart(NEAR, FAR, (0, 0.2))
+    assert not stand_apart(NEAR, FAR, (0, 14), has_depth=False)
+    assert not stand_apart(NEAR, FAR, (0, 14), seen=view(ground=None))
