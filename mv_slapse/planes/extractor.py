@@ -283,7 +283,7 @@ class PlaneExtractor:
         belief, prior, road = ground.survey(
             depths, pair.sigma, evidence, lone, self._ground_prior(whole, fit, ratio),
             memory.height.moved(*memory.log_ratio(whole, ratio)), self._settings.epsilon_h,
-            turn, memory.is_comparable(whole, ratio))
+            turn, memory.is_comparable(whole, ratio), ground.course_of(fit.t_cur_from_prev))
         self._memory = replace(memory, height=belief)
         return prior, road
 

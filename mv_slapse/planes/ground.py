@@ -8,12 +8,13 @@ key frame to the next, and next to nothing lies below it.
 from dataclasses import dataclass, replace
 
 from mv_slapse.geometry import plane as plane_geometry
-from mv_slapse.planes import consensus, height, lattice
+from mv_slapse.planes import consensus, height, lattice, upright
 from mv_slapse.planes.consensus import Depths
 from mv_slapse.planes.extraction import gather, PlaneFit, Rules
 from mv_slapse.planes.height import HeightBelief, RoadBlocks
 import numpy as np
 
+AXIS = (0.0, 0.0, 1.0)
 UP_CAM = (0.0, -1.0, 0.0)  # a level camera: optical axes have y down
 HEIGHT_WOBBLE = 0.02  # change of log(height) between key frames: suspension and slope
 FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for afresh
@@ -22,6 +23,7 @@ FARTHEST = 2.0  # standard deviations by which that ground may lie farther, or n
 DEPENDENCE = 10.0  # blocks of road that tell as much as one: what stands on it errs one way
 MAX_BLUR = 0.07  # standard deviation of a block's depth, as a share of it
 CORRIDOR = 2.5  # camera heights to either side: beyond, kerbs, lawns and drives lie higher
+IN_VIEW = 0.9  # cosine of the course to the axis, 26 degrees; beyond, few cameras see it
 AROUND = 1.0  # rad: what lies farther off than the camera will have turned by then is on no way
 MIN_DROP = 0.03  # rad below the horizon: nearer to it a block tells nothing of the height
 ALIKE = 0.2  # share of depth by which blocks of one surface below the ground may differ
@@ -184,7 +186,7 @@ class GroundTrack:
 
 
 def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior: GroundPrior,
-           belief: HeightBelief, cut: float, turn: float, learns: bool):
+           belief: HeightBelief, cut: float, turn: float, learns: bool, course: np.ndarray = AXIS):
     """Learn the height from the blocks before the camera, and tell which lone ones are road.
 
     Parameters
@@ -206,6 +208,8 @@ def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior:
         Of the camera during the pair [rad].
     learns : bool
         Whether this pair's vectors can be trusted to mean what they say.
+    course : (3,) array
+        Way of the camera in camera k, as of ``course_of``.
 
     Returns
     -------
@@ -214,14 +218,15 @@ def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior:
     road : (N,) bool array
         Lone blocks on the ground; none where it is not known.
     """
-    drop, ahead = corridor(depths.rays, prior.normal)
+    drop, ahead = corridor(depths.rays, prior.normal, course)
     fits = evidence.epipolar_inlier & (depths.rho > 0)
     shown = fits & ~lone
     sharp = shown & (depths.sigma < MAX_BLUR * depths.rho)
     # What is far below sees nothing as near as what it flies over.
     ceiling = (np.median(1 / depths.rho[sharp]) if sharp.sum() >= height.MIN_DEPTHS
                else height.MOST)
-    way = ahead & (depths.rho > turn / AROUND)
+    way = (ahead & (depths.rho > turn / AROUND)
+           & ~upright.on_bodies(depths, drop, fits & (drop > MIN_DROP)))
     blocks = RoadBlocks(depths[way], drop[way], evidence.epipolar_error[way], sigma[way],
                         evidence.parallax[way])
     if learns:
@@ -310,10 +315,19 @@ def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rul
     return PlaneFit(plane, covariance, member, is_ground=True)
 
 
-def corridor(rays: np.ndarray, normal: np.ndarray):
+def course_of(t_cur_from_prev: np.ndarray) -> np.ndarray:
+    """Return the direction (3,) in the picture in which the camera goes, or comes from.
+
+    Its axis where that is out of the picture: then the road is what it looks at.
+    """
+    t = t_cur_from_prev
+    return t * np.sign(t[2]) if abs(t[2]) > IN_VIEW * np.linalg.norm(t) else np.array(AXIS)
+
+
+def corridor(rays: np.ndarray, normal: np.ndarray, course: np.ndarray = AXIS):
     """Return how far rays (N, 3) fall on the way of one unit, and which may meet the road."""
     drop = -rays @ normal
-    return drop, (drop > MIN_DROP) & (np.abs(rays @ _across(normal)) < CORRIDOR * drop)
+    return drop, (drop > MIN_DROP) & (np.abs(rays @ _across(normal, course)) < CORRIDOR * drop)
 
 
 def _sharp(depths: Depths, plane: np.ndarray) -> np.ndarray:
@@ -332,7 +346,7 @@ def _most_alike(values: np.ndarray) -> int:
     return int(np.max(np.searchsorted(log, log + ALIKE) - np.arange(len(log)), initial=0))
 
 
-def _across(normal: np.ndarray) -> np.ndarray:
-    """Return the unit vector (3,) along the ground and across the optical axis."""
-    across = np.cross(normal, (0.0, 0.0, 1.0))
+def _across(normal: np.ndarray, course: np.ndarray) -> np.ndarray:
+    """Return the unit vector (3,) along the ground and across the course (3,)."""
+    across = np.cross(normal, course)
     return across / np.linalg.norm(across)

@@ -337,6 +337,40 @@ def test_a_road_far_from_where_it_was_is_not_believed(rng):
     assert ground.find_ground(depths, free, elsewhere, RULES, rng) is None
 
 
+@pytest.mark.parametrize(('t', 'course'), [
+    ([0.1, 0.05, -1.0], [-0.1, -0.05, 1.0]), ([0.1, 0.05, 1.0], [0.1, 0.05, 1.0]),
+    ([1.0, 0, -0.2], [0, 0, 1]), ([0, 0, 0], [0, 0, 1])])
+def test_the_course_is_where_the_camera_goes_or_comes_from_if_it_sees_that(t, course):
+    np.testing.assert_allclose(ground.course_of(np.array(t, float)), course)
+
+
+def test_the_road_lies_along_the_course_not_along_the_axis():
+    rays = np.array([[-1.0, 0.3, 1.0], [0.5, 0.3, 1.0], [-0.3, 0.3, 1.0], [-0.3, 0.02, 1.0]])
+    _, by_axis = ground.corridor(rays, UP)
+    _, by_course = ground.corridor(rays, UP, np.array([-0.3, 0.0, 1.0]))
+    np.testing.assert_array_equal(by_axis, [False, True, True, False])
+    np.testing.assert_array_equal(by_course, [True, False, True, False])
+
+
+def test_cars_beside_the_road_do_not_teach_a_height_of_their_own(rng):
+    """What rises is left out: without that a row of cars far below the camera is believed."""
+    x = np.stack(np.meshgrid(np.arange(-160, 160, 16), np.arange(16, 80, 16)), -1).reshape(-1, 2)
+    rays = np.c_[x / 400, np.ones(len(x))]
+    rho = np.full(len(x), 0.06) * (1 + 0.03 * rng.standard_normal(len(x)))
+    inlier, parallax = np.ones(len(x), bool), rng.uniform(6, 12, len(x))
+    sigma = 0.03 * rho
+    evidence = Evidence(np.zeros(len(x)), inlier, rho, sigma, sigma, parallax, ~inlier, ~inlier)
+    spreads = []
+    for shape in (rays[:, 1] / 0.1, np.ones(len(x))):
+        depths = Depths(rays, rho * shape, sigma * shape, x + 500.0)
+        belief, *_ = ground.survey(
+            depths, np.full(len(x), 0.3), replace(evidence, rho=depths.rho), ~inlier,
+            replace(FRESH, tilt=0.01), height.HeightBelief.blank(), 3.0, 0.0, True)
+        spreads.append(belief.spread)
+    assert spreads[0] < 0.6
+    assert spreads[1] > 1.5
+
+
 def test_blocks_far_to_the_side_do_not_tilt_the_ground(rng):
     """A lawn beside the road, a hand higher, is outside the corridor."""
     up = np.array([0.0, -1.0, 0.0])

@@ -49,6 +49,19 @@ def test_a_dozen_right_vectors_among_as_many_wrong_ones_tell_the_height(rng):
     assert belief.spread < height.SURE
 
 
+def test_a_road_seen_far_ahead_tells_its_height_though_the_pitch_is_vague(rng):
+    """Near the horizon a pitch that is known to 1 degree makes a third of the depth."""
+    belief = HeightBelief.blank()
+    for _ in range(12):
+        blocks = road(rng, 0.6, 12, 24, 12.0)
+        far = blocks.drop < 0.1
+        blocks = RoadBlocks(blocks.depths[far], blocks.drop[far], blocks.error[far],
+                            blocks.sigma[far], blocks.parallax[far])
+        belief = belief.seen(blocks, 0.02, 4.0, WIDE)
+    assert belief.log == pytest.approx(np.log(0.6), abs=0.25)
+    assert belief.spread < 0.4
+
+
 def test_wrong_vectors_of_one_length_are_no_road(rng):
     """Short vectors at random lie on epipolar lines by chance, at heights of their own."""
     belief = HeightBelief.blank()
