@@ -18,7 +18,7 @@ import numpy as np
 LEAST_SHARE = 0.5  # of the blocks there that must move with the obstacle
 LEAST_COVERED = 0.3  # share of its box, and of the lower half of that, that these must cover
 GATE = 0.99  # share of its own blocks that pass
-ITERATIONS = 3
+ITERATIONS, COARSE = 8, 3
 FOLLOW = 0.3  # share by which the outline follows what is found
 WEAK = 1e-6  # share of the prediction's information that counts as seen
 FREE_SLOPE = 1.0  # standard deviation: vectors inside a box tell little of the slope
@@ -42,12 +42,19 @@ def found(mu: np.ndarray, P: np.ndarray, x: np.ndarray, block: np.ndarray,
     at = _free(extraction, box)
     if len(at) < settings.min_macroblocks:
         return None
+    def holds(own):
+        return (own.sum() >= max(settings.min_macroblocks, LEAST_SHARE * len(at))
+                and _covers(extraction, at[own], box))
+
     rays = to_rays(view.K, extraction.x_cur[at].astype(float))
-    theta, information, own = _rate(mu, P, rays, extraction, at, view,
-                                    settings.vector_bias)
-    if (own.sum() < max(settings.min_macroblocks, LEAST_SHARE * len(at))
-            or not _covers(extraction, at[own], box)):
+    theta, information, near, own = _rate(mu, P, rays, extraction, at, view,
+                                          settings.vector_bias)
+    if not holds(near):
         return None
+    if not holds(own):
+        # It is there, but what of the blocks is its own, and so how it moves, is not to be told.
+        theta, own = view.dt * mu[om.RATE], near
+        information = WEAK * np.linalg.inv(view.dt**2 * P[om.RATE, om.RATE])
     seen = box_of(extraction.x_cur[at[own]].astype(float), extraction.block[at[own]].astype(float))
     z, R = _observed(mu, P, theta / view.dt, np.linalg.inv(information) / view.dt**2)
     z[om.BEARING] = to_rays(view.K, (seen[:2] + seen[2:] / 2)[None])[0, :2]
@@ -86,21 +93,37 @@ def _covers(extraction, own, box):
 
 
 def _rate(mu, P, rays, extraction, at, view, bias):
-    """Return displacement over depth (3,), its information (3, 3), and which blocks share it."""
+    """Return displacement over depth (3,), its information (3, 3), and which blocks (N,) bool.
+
+    The blocks that move as predicted, as far as that is known, and those of them that move as
+    one. What lies behind an obstacle, or before it, may pass for its own by a prediction that
+    lags, as where it brakes; it does not agree with the rest.
+    """
     prior = view.dt**2 * P[om.RATE, om.RATE]
     theta = np.r_[view.dt * mu[om.RATE], mu[om.SLOPE]]
     variance = extraction.sigma[at].astype(float)**2 + bias**2
     target, limit = extraction.x_prev[at].astype(float), ekf.chi2_bound(GATE, 2)
     weak = WEAK * np.linalg.inv(prior)  # one block alone leaves the rate open
-    for _ in range(ITERATIONS):
-        x_prev, J = moving_plane.transfer(theta, rays, mu[om.BEARING], view.K,
-                                          view.R_cur_from_prev)
-        J, error = J[:, :, moving_plane.RATE], target - x_prev
-        S = J @ prior @ np.swapaxes(J, 1, 2) + variance[:, None, None] * np.eye(2)
-        own = np.einsum('ni,ni->n', error, np.linalg.solve(S, error[:, :, None])[:, :, 0]) < limit
-        weighted = J[own] / variance[own, None, None]
-        information = np.einsum('nij,nik->jk', weighted, J[own]) + weak
-        step = np.linalg.solve(information, np.einsum('nij,ni->j', weighted, error[own]))
-        theta[moving_plane.RATE] += step
-    spread = np.sum(error[own]**2 / variance[own, None]) / max(2 * own.sum() - 3, 1)
-    return theta[moving_plane.RATE], information / max(spread, 1.0), own
+    error, J = _errors(theta, mu, rays, target, view)
+    S = J @ prior @ np.swapaxes(J, 1, 2) + variance[:, None, None] * np.eye(2)
+    near = np.einsum('ni,ni->n', error, np.linalg.solve(S, error[:, :, None])[:, :, 0]) < limit
+    for i in range(ITERATIONS if near.any() else 0):
+        squared = np.sum(error**2, axis=1) / variance
+        # While the start is bad the kernel is as wide as what half of the blocks reach.
+        width = max(limit, 4 * np.median(squared[near])) if i < COARSE else limit
+        weighted = J * (near / (1 + squared / width)**2 / variance)[:, None, None]
+        information = np.einsum('nij,nik->jk', weighted, J) + weak
+        theta[moving_plane.RATE] += np.linalg.solve(
+            information, np.einsum('nij,ni->j', weighted, error))
+        error, J = _errors(theta, mu, rays, target, view)
+    squared = np.sum(error**2, axis=1) / variance
+    own = near & (squared < limit)
+    information = np.einsum('nij,nik->jk', J[own] / variance[own, None, None], J[own]) + weak
+    spread = squared[own].sum() / max(2 * own.sum() - 3, 1)
+    return theta[moving_plane.RATE], information / max(spread, 1.0), near, own
+
+
+def _errors(theta, mu, rays, target, view):
+    """Return errors (N, 2) of a rate and slope (5,) [px] and their Jacobian (N, 2, 3) by rate."""
+    x_prev, J = moving_plane.transfer(theta, rays, mu[om.BEARING], view.K, view.R_cur_from_prev)
+    return target - x_prev, J[:, :, moving_plane.RATE]

@@ -64,6 +64,27 @@ def test_vectors_alone_give_the_rate(drive, rng):
     assert np.all(np.linalg.eigvalsh(again.R[om.RATE, om.RATE]) > 0)
 
 
+def test_what_lies_behind_does_not_tell_the_rate(drive, rng):
+    extraction, view, item = moment(replace(drive, sigma=0.0), 0.5, rng)
+    unsure = replace(item, R=item.R + 0.3**2 * np.eye(8))
+    behind = extraction.x_cur[:, 1] < item.box[1] + item.box[3] / 3
+    assert np.any(behind & (extraction.plane_id == item.id))
+    moved = np.where(behind[:, None], extraction.x_prev + np.float32([1.5, -1.5]),
+                     extraction.x_prev)
+    again = found(unsure, replace(unlabelled(extraction), x_prev=moved), view)
+    np.testing.assert_allclose(again.z[om.RATE], item.z[om.RATE], atol=0.02)
+
+
+def test_blocks_that_disagree_show_the_place_but_no_motion(drive, rng):
+    extraction, view, item = moment(drive, 0.5, rng)
+    unsure = replace(item, R=item.R + 0.3**2 * np.eye(8))
+    apart = rng.choice([-4, 4], extraction.x_prev.shape).astype(np.float32)
+    again = found(unsure, replace(unlabelled(extraction), x_prev=extraction.x_prev + apart), view)
+    np.testing.assert_allclose(again.z[om.RATE], item.z[om.RATE])
+    assert np.all(np.diag(again.R)[om.RATE] > 1e3 * np.diag(unsure.R)[om.RATE])
+    np.testing.assert_allclose(again.z[om.BEARING], item.z[om.BEARING], atol=0.02)
+
+
 def test_a_confirmed_obstacle_is_followed_without_labels(drive, rng):
     mover = drive.movers[0]
     result = track(drive, rng, lambda now: now < 0.85)
