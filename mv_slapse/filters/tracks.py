@@ -132,9 +132,15 @@ class Track:
         return association.is_part((self.mu, self.P), self.box(view), state, box, gate)
 
     def continue_as(self, other: 'Track'):
-        """Take over what another track of the same obstacle knows, which saw it last."""
-        for name in ('plane_id', 'state', 'x', 'block', 'edge', 'scale_prior', 'last_seen',
-                     'drift', 'evidence'):
+        """Go on where another track of the same obstacle saw it last.
+
+        Its state is that of the two whose depth is better known: the other may be new and have
+        seen a part only, the foot of which is hidden.
+        """
+        names = ['plane_id', 'x', 'block', 'last_seen']
+        if other.P[2, 2] < self.P[2, 2]:
+            names += ['state', 'edge', 'scale_prior', 'drift', 'evidence']
+        for name in names:
             setattr(self, name, getattr(other, name))
 
     def _disagreed(self, settings):

@@ -77,6 +77,18 @@ def test_handover_has_the_covariance_of_plane_and_velocity(rng):
     assert not np.any(handover.velocity)
 
 
+@pytest.mark.parametrize('factor', [0.5, 2.0])
+def test_a_track_goes_on_as_another_with_the_depth_that_is_better_known(rng, factor):
+    track, other = Moment(0.3, rng).track(), Moment(0.4, rng).track()
+    known, outline = track.mu.copy(), other.x
+    other.state.mu[2] += 0.3
+    other.state.P[2, 2] = factor * track.P[2, 2]
+    track.continue_as(other)
+    np.testing.assert_array_equal(track.mu, other.mu if factor < 1 else known)
+    np.testing.assert_array_equal(track.x, outline)
+    assert (track.id, track.last_seen) == (7, other.last_seen)
+
+
 def test_a_state_that_is_wrong_comes_back_and_one_wrong_detection_does_little(rng):
     moment = Moment(0.5, rng)
     track, item = moment.track(), moment.detection
