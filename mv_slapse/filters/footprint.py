@@ -62,8 +62,9 @@ def stand_apart(surfaces: Sequence[Detection], extraction: Extraction, view: Vie
     depth = np.exp([item.z[2] for item in feet])
     ends = depth[:, None] * np.sort([_foot(item, view) @ aside for item in feet], axis=1)
     left, right = np.argmin(ends[:, 0]), np.argmax(ends[:, 1])
-    sigma = np.hypot(*(ends[i, side] * np.sqrt(feet[i].R[2, 2])
-                       for i, side in ((left, 0), (right, 1))))
+    # The camera's tilt makes all of them nearer or farther.
+    sigma = sum(abs(ends[i, side]) * np.sqrt(feet[i].R[2, 2])
+                for i, side in ((left, 0), (right, 1)))
     width = ends[right, 1] - ends[left, 0]
     slack = sigma + unsure * abs(depth[right] - depth[left])
     return len(feet) > 1 and bool(width > WIDTH * view.metre + SURE * slack)

@@ -207,7 +207,9 @@ def test_a_coasting_obstacle_moves_on_and_grows_unsure(rng):
 
 
 def test_two_faces_of_one_car_are_one_obstacle(rng):
-    drive = Drive((Mover(1, (-1, 14), (0, 6)), Mover(2, (0.6, 14.2), (0, 6), size=(1.4, 1.5))))
+    # 2.4 m wide together, as vehicles are.
+    drive = Drive((Mover(1, (-1, 14), (0, 6), size=(1.4, 1.5)),
+                   Mover(2, (0.2, 14.2), (0, 6), size=(1.0, 1.5))))
     result = run(drive, rng, 1.0)
     assert [o.id for o in usable(result[-1][1])] == [1]
     box = usable(result[-1][1])[0].box
