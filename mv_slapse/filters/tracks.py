@@ -181,7 +181,7 @@ class Track:
         # A bumper ends above the road, so that what stands looks as if it came towards the camera.
         nearer = CLEARANCE if self.scale_prior is ScalePrior.GROUND_CONTACT else 0.0
         statistic = om.moving_statistic(self.mu, self.P, view.scene_velocity,
-                                        view.scene_covariance, nearer)
+                                        view.compared_covariance, nearer)
         speed = float(np.linalg.norm(self.motion(view).velocity))
         self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic, nis,
                                       dof, speed, overlap, score, departed))

@@ -6,6 +6,7 @@ from mv_slapse.geometry import plane as planes
 from mv_slapse.records import Extraction, MotionStatus, ScaleStatus, SceneEstimate
 import numpy as np
 
+PAIRS = 10.0  # whose baselines tell the depth of an obstacle: a second's
 UNSCALED_SPEED = 0.1  # 1 m/s as a share of the camera's speed, where no scale is known
 TALLEST = 5.0  # [m] a lorry of 4 m, seen to a macroblock or so
 USUAL_HEIGHT = 1.65  # [m] of the camera, where no scale is known
@@ -38,6 +39,8 @@ class View:
     size : (2,) float64
         Width and height of the picture [px].
     is_metric : bool
+    speed_error : float
+        Share of the scene's speed by which it differs from the lengths of obstacles at most.
     """
 
     K: np.ndarray
@@ -54,6 +57,18 @@ class View:
     ground_normal_covariance: np.ndarray
     size: np.ndarray
     is_metric: bool
+    speed_error: float = 1.0
+
+    @property
+    def compared_covariance(self) -> np.ndarray:
+        """Return the covariance (3, 3) of the scene's velocity against that of obstacles.
+
+        A free scale drifts, but the depths of obstacles share it.
+        """
+        speed = max(np.linalg.norm(self.scene_velocity), 1e-12)
+        ahead = self.scene_velocity / speed
+        shared = ahead @ self.scene_covariance @ ahead - (self.speed_error * speed)**2
+        return self.scene_covariance - max(shared, 0.0) * np.outer(ahead, ahead)
 
     @property
     def speed_unit(self) -> float:
@@ -103,7 +118,8 @@ def view_of(extraction: Extraction, scene: SceneEstimate, before: SceneEstimate 
                 t / dt, _scene_covariance(t / dt, unit / dt, motion.covariance[3:, 3:], scene),
                 motion.covariance[:3, :3], *_ground(scene, last),
                 np.array([extraction.width, extraction.height], float),
-                scene.scale_status is ScaleStatus.METRIC)
+                scene.scale_status is ScaleStatus.METRIC,
+                _speed_error(extraction, scene, dt, last))
 
 
 def relative_motion(before: SceneEstimate, now: SceneEstimate) -> tuple[np.ndarray, np.ndarray]:
@@ -120,6 +136,15 @@ def _moved(plane, R, t):
     # A plane through the other frame's origin has no n / d there: keep it far from infinite.
     scale = np.copysign(max(abs(scale), 1e-6), scale)
     return rotated / scale, (R + np.outer(rotated / scale, t @ R)) / scale
+
+
+def _speed_error(extraction, scene, dt, last):
+    """Return how well the last baselines compare, and by how much the speed has jumped."""
+    known = extraction.baseline_ratio_sigma < 1 and last is not None
+    if scene.scale_status is ScaleStatus.METRIC or not known:
+        return 1.0
+    jump = extraction.baseline_ratio - np.log(dt / last.dt)
+    return min(np.hypot(np.sqrt(PAIRS) * extraction.baseline_ratio_sigma, jump), 1.0)
 
 
 def _scene_covariance(velocity, per_direction, direction_covariance, scene):

@@ -54,6 +54,18 @@ def test_time_to_contact_is_depth_over_closing_speed(rng):
     assert 0 < np.sqrt(variance) < 0.5
 
 
+def test_a_car_ahead_moves_however_unsure_the_scale_is(rng):
+    moment = Moment(0.5, rng, Drive((Mover(1, (0, 10), (0, 9)),), scale_sigma=0.0, sigma=0.05))
+    scene = moment.view.scene_velocity
+    unsure = replace(moment.view, scene_covariance=np.outer(scene, scene), speed_error=1.0)
+    found = []
+    for view in (unsure, replace(unsure, speed_error=0.1)):
+        track = moment.track()
+        track.witness(moment.extraction, view, 0.0, 0)
+        found.append(track.evidence[-1].statistic)
+    assert found[0] < 11.3 < found[1]
+
+
 def test_a_receding_obstacle_has_no_contact(rng):
     drive = Drive((Mover(1, (0, 10), (0, 14)),))
     assert Moment(0.5, rng, drive).track().time_to_contact() == (np.inf, np.inf)

@@ -5,7 +5,7 @@ from dataclasses import replace
 from drawn_movers import CAMERA_HEIGHT, Drive, DT, Mover
 from mv_slapse.filters.view import relative_motion, view_of
 from mv_slapse.geometry import plane as planes
-from mv_slapse.records import MotionStatus
+from mv_slapse.records import MotionStatus, ScaleStatus
 from numeric import jacobian
 import numpy as np
 import pytest
@@ -103,3 +103,33 @@ def test_speed_error_is_the_scene_filters_but_never_below_a_percent(pair):
         unsure = replace(scene, twist_covariance=np.diag([variance] * 3 + [1e-8] * 3))
         view = view_of(sure, unsure, None)
         assert np.sqrt(np.trace(view.scene_covariance)) == pytest.approx(expected)
+
+
+def along(covariance, view):
+    """Return the standard deviation of the scene's speed as a share of it."""
+    return np.sqrt(view.scene_velocity @ covariance @ view.scene_velocity) / np.sum(
+        view.scene_velocity**2)
+
+
+@pytest.mark.parametrize(('status', 'sigma', 'jump', 'expected'), [
+    (ScaleStatus.UNKNOWN, 0.02, 0.0, np.sqrt(10) * 0.02),
+    (ScaleStatus.UNKNOWN, 0.0, 0.3, 0.3),
+    (ScaleStatus.UNKNOWN, 0.02, 5.0, 0.5),
+    (ScaleStatus.UNKNOWN, np.inf, 0.0, 0.5),
+    (ScaleStatus.METRIC, 0.02, 0.0, 0.5)])
+def test_a_drifting_scale_is_no_error_between_obstacle_and_scene(pair, status, sigma, jump,
+                                                                 expected):
+    extraction, scene = pair
+    last = replace(view_of(*pair, None), dt=2 * DT)
+    extraction = replace(extraction, baseline_ratio=np.log(0.5) + jump,
+                         baseline_ratio_sigma=sigma, motion=replace(
+                             extraction.motion, covariance=np.zeros((6, 6))))
+    speed = np.linalg.norm(last.scene_velocity)
+    scene = replace(scene, scale_status=status,
+                    twist_covariance=np.diag([(0.5 * speed)**2] * 3 + [1e-8] * 3))
+    view = view_of(extraction, scene, None, last)
+    assert along(view.scene_covariance, view) == pytest.approx(0.5)
+    assert along(view.compared_covariance, view) == pytest.approx(expected)
+    aside = np.cross(view.scene_velocity, [0.0, 1.0, 0.0])
+    np.testing.assert_allclose(view.compared_covariance @ aside, view.scene_covariance @ aside,
+                               atol=1e-9)
