@@ -12,7 +12,7 @@ from mv_slapse.filters.detections import bearing_covariance, blurred, box_of, De
 from mv_slapse.filters.view import View
 from mv_slapse.geometry import moving_plane
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.records import Extraction, Label, ScalePrior
+from mv_slapse.records import Extraction, ScalePrior
 import numpy as np
 
 LEAST_SHARE = 0.5  # of the blocks there that must move with the obstacle
@@ -35,13 +35,14 @@ def found(mu: np.ndarray, P: np.ndarray, x: np.ndarray, block: np.ndarray,
     x, block : (N, 2), (N, 2) arrays
         Predicted centres and sizes of its blocks [px].
     extraction : Extraction
-        Its moving planes and the ground keep their blocks.
+        Its planes keep their blocks.
     view, settings : View, ObstacleSettings
     """
     box = box_of(x, block)
     at = _free(extraction, box)
     if len(at) < settings.min_macroblocks:
         return None
+
     def holds(own):
         return (own.sum() >= max(settings.min_macroblocks, LEAST_SHARE * len(at))
                 and _covers(extraction, at[own], box))
@@ -73,12 +74,10 @@ def _observed(mu, P, rate, covariance):
 
 
 def _free(extraction, box):
-    """Return the blocks (M,) int inside a box that belong to neither movers nor the ground."""
-    kept = [plane.id for plane in extraction.planes
-            if plane.is_ground or plane.label is Label.MOVING]
+    """Return the blocks (M,) int inside a box that are on no plane."""
     x = extraction.x_cur
     inside = np.all((x >= box[:2]) & (x <= box[:2] + box[2:]), axis=1)
-    return np.flatnonzero(inside & ~np.isin(extraction.plane_id, kept))
+    return np.flatnonzero(inside & (extraction.plane_id < 0))
 
 
 def _covers(extraction, own, box):
