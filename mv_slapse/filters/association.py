@@ -50,7 +50,9 @@ def _cells(x):
 
 def observed(detection: Detection) -> np.ndarray:
     """Return the elements (M,) int of the state that a detection is evidence of."""
-    return np.arange(om.SIZE) if detection.has_depth else np.array([0, 1, 3, 4, 5, 6, 7])
+    told = np.ones(om.SIZE, bool)
+    told[2], told[om.RATE] = detection.has_depth, detection.has_rate
+    return np.flatnonzero(told)
 
 
 def squared_distance(mu, P, detection: Detection) -> tuple[float, int]:

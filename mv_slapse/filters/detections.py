@@ -15,9 +15,10 @@ import numpy as np
 from scipy.ndimage import label as components
 
 OUTLINE_SHARE = 0.08  # of a region's size: how well its blocks show its middle
-THINNEST = 0.25  # share of the most blocks in a row or column: a cabin has more of a body
 CUT_SHARE = 0.3  # the same where the picture's edge cuts it off
 SHAPE_SHARE = 0.03  # of a rate: vehicles are no planes, and their faces move apart
+THINNEST = 0.25  # share of the most blocks in a row or column: a cabin has more of a body
+SLIVER = 2.0  # px by which neighbouring blocks may overlap, as predicted
 HIDDEN_CONTACT_SIGMA = 0.3  # of ln Z where the picture's edge cuts the region off below
 
 
@@ -55,6 +56,8 @@ class Detection:
         Observed state as in obstacle_motion, and its covariance.
     has_depth : bool
         The depth is evidence; else a prior that only a new track may use.
+    has_rate : bool
+        The rate is evidence; else only the place is.
     x, block : (N, 2) float64
         Centres and sizes of its blocks [px].
     scale_prior : ScalePrior
@@ -75,6 +78,7 @@ class Detection:
     edge: Edge
     score: float = 0.0
     departed: float = 0.0
+    has_rate: bool = True
 
     @property
     def box(self) -> np.ndarray:
@@ -102,10 +106,13 @@ def body_box(x: np.ndarray, block: np.ndarray) -> np.ndarray:
 
 def _well_covered(low, high, thickness):
     """Return the first and last place [px] that intervals cover thickly enough."""
-    at = np.unique(np.r_[low, high])
-    cover = thickness @ ((low[:, None] <= at[:-1]) & (high[:, None] > at[:-1]))
+    # Blocks that were moved may overlap by little, and would cover that little twice.
+    edge = np.minimum(0.5 * SLIVER, 0.25 * (high - low))
+    at = np.unique(np.r_[low + edge, high - edge])
+    cover = thickness @ (((low + edge)[:, None] <= at[:-1]) & ((high - edge)[:, None] > at[:-1]))
     thick = np.flatnonzero(cover >= THINNEST * np.max(cover))
-    return at[thick[0]], at[thick[-1] + 1]
+    return (max(at[thick[0]] - 0.5 * SLIVER, np.min(low)),
+            min(at[thick[-1] + 1] + 0.5 * SLIVER, np.max(high)))
 
 
 def is_cut(box: np.ndarray, view: View) -> np.ndarray:

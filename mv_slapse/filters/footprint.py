@@ -62,7 +62,7 @@ def stand_apart(surfaces: Sequence[Detection], extraction: Extraction, view: Vie
     depth = np.exp([item.z[2] for item in feet])
     ends = depth[:, None] * np.sort([_foot(item, view) @ aside for item in feet], axis=1)
     left, right = np.argmin(ends[:, 0]), np.argmax(ends[:, 1])
-    # The camera's tilt makes all of them nearer or farther.
+    # The worst case: what their depths err by all in favour of one vehicle.
     sigma = sum(abs(ends[i, side]) * np.sqrt(feet[i].R[2, 2])
                 for i, side in ((left, 0), (right, 1)))
     width = ends[right, 1] - ends[left, 0]

@@ -18,7 +18,7 @@ import numpy as np
 LEAST_SHARE = 0.5  # of the blocks there that must move with the obstacle
 LEAST_COVERED = 0.3  # share of its box, and of the lower half of that, that these must cover
 GATE = 0.99  # share of its own blocks that pass
-ITERATIONS, COARSE = 8, 3
+ITERATIONS, COARSE = 8, 3  # of the reweighting, and of these with a wider kernel
 FOLLOW = 0.3  # share by which the outline follows what is found
 WEAK = 1e-6  # share of the prediction's information that counts as seen
 FREE_SLOPE = 1.0  # standard deviation: vectors inside a box tell little of the slope
@@ -52,10 +52,9 @@ def found(mu: np.ndarray, P: np.ndarray, x: np.ndarray, block: np.ndarray,
                                           settings.vector_bias)
     if not holds(near):
         return None
-    if not holds(own):
-        # It is there, but what of the blocks is its own, and so how it moves, is not to be told.
-        theta, own = view.dt * mu[om.RATE], near
-        information = WEAK * np.linalg.inv(view.dt**2 * P[om.RATE, om.RATE])
+    # What of the blocks is its own, and so how it moves, is not to be told where they disagree.
+    agree = holds(own)
+    own = own if agree else near
     seen = box_of(extraction.x_cur[at[own]].astype(float), extraction.block[at[own]].astype(float))
     z, R = _observed(mu, P, theta / view.dt, np.linalg.inv(information) / view.dt**2)
     z[om.BEARING] = to_rays(view.K, (seen[:2] + seen[2:] / 2)[None])[0, :2]
@@ -63,7 +62,8 @@ def found(mu: np.ndarray, P: np.ndarray, x: np.ndarray, block: np.ndarray,
     moved = box + FOLLOW * (seen - box)
     scale = moved[2:] / box[2:]
     return blurred(Detection(-1, z, R, False, moved[:2] + scale * (x - box[:2]), scale * block,
-                             ScalePrior.NONE, Edge(0.0, 0.0, 1.0)), view, settings)
+                             ScalePrior.NONE, Edge(0.0, 0.0, 1.0), has_rate=agree),
+                   view, settings)
 
 
 def _observed(mu, P, rate, covariance):
@@ -108,7 +108,7 @@ def _rate(mu, P, rays, extraction, at, view, bias):
     near = np.einsum('ni,ni->n', error, np.linalg.solve(S, error[:, :, None])[:, :, 0]) < limit
     for i in range(ITERATIONS if near.any() else 0):
         squared = np.sum(error**2, axis=1) / variance
-        # While the start is bad the kernel is as wide as what half of the blocks reach.
+        # While the start is bad the kernel is twice as wide as half of the blocks reach.
         width = max(limit, 4 * np.median(squared[near])) if i < COARSE else limit
         weighted = J * (near / (1 + squared / width)**2 / variance)[:, None, None]
         information = np.einsum('nij,nik->jk', weighted, J) + weak

@@ -112,7 +112,7 @@ class Track:
             excess = 1.0
         rate = (detection.z - self.mu)[om.RATE]
         sigma = np.sqrt(np.diag(self.P + detection.R)[om.RATE])
-        self.drift = self.drift + DRIFT_GAIN * (rate / sigma - self.drift)
+        self.drift = self.drift + detection.has_rate * DRIFT_GAIN * (rate / sigma - self.drift)
         evidence = self._depth_evidence(
             replace(detection, R=_correlated(detection.R, view.dt, settings)), view.dt)
         rows = association.observed(evidence)
@@ -140,6 +140,8 @@ class Track:
         names = ['plane_id', 'x', 'block', 'last_seen']
         if other.P[2, 2] < self.P[2, 2]:
             names += ['state', 'edge', 'scale_prior', 'drift', 'evidence']
+        else:
+            self.evidence = within([*self.evidence, other.evidence[-1]], KEPT_EVIDENCE)
         for name in names:
             setattr(self, name, getattr(other, name))
 

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 
+from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import plane as planes
 from mv_slapse.records import Extraction, MotionStatus, ScaleStatus, SceneEstimate
 import numpy as np
 
-PAIRS = 10.0  # whose baselines tell the depth of an obstacle: a second's
+SPAN = 1.0  # [s] whose baselines tell the depth of an obstacle
 UNSCALED_SPEED = 0.1  # 1 m/s as a share of the camera's speed, where no scale is known
 TALLEST = 5.0  # [m] a lorry of 4 m, seen to a macroblock or so
 USUAL_HEIGHT = 1.65  # [m] of the camera, where no scale is known
@@ -144,7 +145,8 @@ def _speed_error(extraction, scene, dt, last):
     if scene.scale_status is ScaleStatus.METRIC or not known:
         return 1.0
     jump = extraction.baseline_ratio - np.log(dt / last.dt)
-    return min(np.hypot(np.sqrt(PAIRS) * extraction.baseline_ratio_sigma, jump), 1.0)
+    drift = np.sqrt(SceneSettings.depth_dependence * SPAN / dt) * extraction.baseline_ratio_sigma
+    return float(np.clip(np.hypot(drift, jump), LEAST_SPEED_ERROR, 1.0))
 
 
 def _scene_covariance(velocity, per_direction, direction_covariance, scene):

@@ -108,6 +108,15 @@ def test_what_hides_all_the_road_below_is_any_part_of_a_vehicle():
     assert not footprint.stand_apart(surfaces, nothing, view())
 
 
+def test_cars_of_vague_depths_may_be_one():
+    surfaces = [whole(NEAR, (0, 14)), whole(FAR, (0, 14))]
+    vague = [replace(item, R=item.R + np.diag(np.r_[0, 0, 0.3**2, np.zeros(5)]))
+             for item in surfaces]
+    scene = scene_with(Label.STATIONARY, *surfaces)
+    assert footprint.stand_apart(surfaces, scene, view())
+    assert not footprint.stand_apart(vague, scene, view())
+
+
 def test_rear_and_side_of_a_lorry_do_not_stand_apart():
     assert not stand_apart(REAR, SIDE, (0, 14))
     # That side and the rear of what drives in the next lane do.

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from drawn_movers import Drive, DT, Mover, nanoseconds
+from drawn_movers import Drive, DT, GRID, Mover, nanoseconds
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import obstacles as obstacles_module
 from mv_slapse.filters.obstacles import ObstacleTracker
@@ -221,6 +221,28 @@ def test_two_faces_of_one_car_are_one_obstacle(rng):
 def test_two_cars_side_by_side_with_other_speeds_are_two(rng):
     drive = Drive((Mover(1, (-1.5, 14), (0, 6)), Mover(2, (1.5, 14), (0, 13))))
     assert [o.id for o in usable(run(drive, rng, 1.0)[-1][1])] == [1, 2]
+
+
+@pytest.mark.parametrize(('road', 'ids'), [(True, [1, 2]), (False, [1])])
+def test_cars_behind_each_other_are_two_where_the_road_shows_below_the_farther(rng, road, ids):
+    drive = Drive((Mover(1, (0, 10), (0, 10)), Mover(2, (2.6, 22), (0, 10))))
+    tracker = ObstacleTracker(SETTINGS)
+    for i in range(10):
+        before, now = i * DT, (i + 1) * DT
+        seen = drive.extraction(before, now, rng)
+        box = np.concatenate([drive.blocks(drive.movers[1], before, now)[0].min(axis=0),
+                              drive.blocks(drive.movers[0], before, now)[0].max(axis=0)])
+        at = np.all((box[:2] < GRID) & (box[2:] + (80, 0) > GRID), axis=1)
+        at &= np.min(np.linalg.norm(GRID[:, None] - seen.x_cur, axis=2), axis=1) > 1
+        if road:
+            n = at.sum()
+            seen = replace(
+                seen, x_cur=np.r_[seen.x_cur, GRID[at]], x_prev=np.r_[seen.x_prev, GRID[at]],
+                sigma=np.r_[seen.sigma, np.ones(n)], block=np.r_[seen.block, np.full((n, 2), 16)],
+                label=np.r_[seen.label, np.full(n, Label.STATIONARY)],
+                plane_id=np.r_[seen.plane_id, np.zeros(n, int)])
+        obstacles, _ = tracker.step(seen, drive.scene(before, now))
+    assert [o.id for o in usable(obstacles)] == ids
 
 
 def test_passing_cars_keep_their_ids(rng):

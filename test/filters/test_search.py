@@ -6,6 +6,7 @@ from drawn_movers import Drive, DT, Mover
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import obstacle_motion as om
 from mv_slapse.filters import search
+from mv_slapse.filters.association import observed
 from mv_slapse.filters.detections import detections
 from mv_slapse.filters.obstacles import ObstacleTracker
 from mv_slapse.filters.view import view_of
@@ -80,8 +81,8 @@ def test_blocks_that_disagree_show_the_place_but_no_motion(drive, rng):
     unsure = replace(item, R=item.R + 0.3**2 * np.eye(8))
     apart = rng.choice([-4, 4], extraction.x_prev.shape).astype(np.float32)
     again = found(unsure, replace(unlabelled(extraction), x_prev=extraction.x_prev + apart), view)
-    np.testing.assert_allclose(again.z[om.RATE], item.z[om.RATE])
-    assert np.all(np.diag(again.R)[om.RATE] > 1e3 * np.diag(unsure.R)[om.RATE])
+    assert not again.has_rate
+    np.testing.assert_array_equal(observed(again), [0, 1, 6, 7])
     np.testing.assert_allclose(again.z[om.BEARING], item.z[om.BEARING], atol=0.02)
 
 
@@ -108,13 +109,10 @@ def test_what_moves_otherwise_is_not_the_obstacle(drive, rng):
     assert found(item, shifted, view) is None
 
 
-@pytest.mark.parametrize(('label', 'is_ground'), [
-    (Label.MOVING, False), (Label.STATIONARY, True), (Label.STATIONARY, False)])
-def test_blocks_of_other_movers_of_the_ground_and_of_walls_stay_theirs(drive, rng, label,
-                                                                       is_ground):
+def test_blocks_on_any_plane_stay_its_own(drive, rng):
     extraction, view, item = moment(drive, 0.5, rng)
-    plane = replace(extraction.planes[0], label=label, is_ground=is_ground)
-    assert found(item, replace(extraction, planes=(plane,)), view) is None
+    assert np.all(extraction.plane_id >= 0)
+    assert found(item, extraction, view) is None
     assert found(item, unlabelled(extraction), view) is not None
 
 

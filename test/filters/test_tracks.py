@@ -99,6 +99,9 @@ def test_a_track_goes_on_as_another_with_the_depth_that_is_better_known(rng, fac
     np.testing.assert_array_equal(track.mu, other.mu if factor < 1 else known)
     np.testing.assert_array_equal(track.x, outline)
     assert (track.id, track.last_seen) == (7, other.last_seen)
+    assert track.evidence[-1] == other.evidence[-1]
+    assert len(track.evidence) == (1 if factor < 1 else 2)
+    assert (track.edge is other.edge) == (track.drift is other.drift) == (factor < 1)
 
 
 def test_a_state_that_is_wrong_comes_back_and_one_wrong_detection_does_little(rng):
@@ -226,6 +229,32 @@ def test_a_single_block_that_joins_a_body_does_not_widen_its_box(stray):
     block = np.full(x.shape, 16.0)
     np.testing.assert_array_equal(body_box(x, block), box_of(body, block[:-1]))
     assert np.any(box_of(x, block) != box_of(body, block[:-1]))
+
+
+@pytest.mark.parametrize('growth', [0.97, 1.03, 1.1])
+def test_a_body_box_moves_on_with_the_blocks(growth):
+    x = np.r_[lattice(range(6), [2, 3]), lattice([2, 3], [0, 1])]
+    moved = (4.3, -2.7) + growth * x
+    block = np.full(x.shape, growth * 16)
+    np.testing.assert_allclose(body_box(moved, block), box_of(moved, block))
+    # A whole row more is one block in six, of which rounding or a rounded size makes no two.
+    stray = np.r_[moved, (4.3, -2.7) + growth * lattice([2], [4])]
+    for size in (growth * 16, growth * 16 + 0.5):
+        sizes = np.full(stray.shape, size)
+        np.testing.assert_allclose(body_box(stray, sizes), box_of(moved, sizes[:-1]), atol=0.6)
+
+
+def test_a_place_without_a_rate_leaves_the_rate_and_its_drift(rng):
+    first, second = Moment(0.3, rng), Moment(0.4, rng)
+    track = first.track()
+    assert track.predict(second.step, second.view, SETTINGS)
+    track.drift, predicted = np.array([1.0, -2.0, 3.0]), track.mu[om.RATE].copy()
+    shifted = second.detection.z + np.r_[0, 0, 0, 1.0, -1.0, 1.0, 0, 0]
+    track.update(replace(second.detection, z=shifted, has_depth=False, has_rate=False),
+                 second.extraction, second.view, SETTINGS)
+    np.testing.assert_array_equal(track.drift, [1.0, -2.0, 3.0])
+    assert track.evidence[-1].dof == 2
+    np.testing.assert_allclose(track.mu[om.RATE], predicted, atol=0.1)
 
 
 def test_cabins_gaps_and_small_blocks_are_in_the_box_of_a_body():

@@ -112,8 +112,9 @@ def along(covariance, view):
 
 
 @pytest.mark.parametrize(('status', 'sigma', 'jump', 'expected'), [
-    (ScaleStatus.UNKNOWN, 0.02, 0.0, np.sqrt(10) * 0.02),
-    (ScaleStatus.UNKNOWN, 0.0, 0.3, 0.3),
+    (ScaleStatus.UNKNOWN, 0.02, 0.0, np.sqrt(6 * 1.0 / DT) * 0.02),
+    (ScaleStatus.UNKNOWN, 1e-5, 0.0, 0.01),
+    (ScaleStatus.UNKNOWN, 1e-5, 0.3, 0.3),
     (ScaleStatus.UNKNOWN, 0.02, 5.0, 0.5),
     (ScaleStatus.UNKNOWN, np.inf, 0.0, 0.5),
     (ScaleStatus.METRIC, 0.02, 0.0, 0.5)])
