@@ -108,8 +108,9 @@ def _well_covered(low, high, thickness):
     """Return the first and last place [px] that intervals cover thickly enough."""
     # Blocks that were moved may overlap by little, and would cover that little twice.
     edge = np.minimum(0.5 * SLIVER, 0.25 * (high - low))
-    at = np.unique(np.r_[low + edge, high - edge])
-    cover = thickness @ (((low + edge)[:, None] <= at[:-1]) & ((high - edge)[:, None] > at[:-1]))
+    first, last = low + edge, high - edge
+    at = np.unique(np.r_[first, last])
+    cover = thickness @ ((first[:, None] <= at[:-1]) & (last[:, None] > at[:-1]))
     thick = np.flatnonzero(cover >= THINNEST * np.max(cover))
     return (max(at[thick[0]] - 0.5 * SLIVER, np.min(low)),
             min(at[thick[-1] + 1] + 0.5 * SLIVER, np.max(high)))

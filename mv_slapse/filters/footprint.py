@@ -58,6 +58,8 @@ def stand_apart(surfaces: Sequence[Detection], extraction: Extraction, view: Vie
     lowest = max(item.edge.row for item in surfaces if item.has_depth)
     feet = [item for item in surfaces if item.has_depth
             and (item.edge.row == lowest or _scene_below(item, lowest, extraction))]
+    if len(feet) < 2:
+        return False
     aside, unsure = _aside(surfaces[0], view)
     depth = np.exp([item.z[2] for item in feet])
     ends = depth[:, None] * np.sort([_foot(item, view) @ aside for item in feet], axis=1)
@@ -67,7 +69,7 @@ def stand_apart(surfaces: Sequence[Detection], extraction: Extraction, view: Vie
                 for i, side in ((left, 0), (right, 1)))
     width = ends[right, 1] - ends[left, 0]
     slack = sigma + unsure * abs(depth[right] - depth[left])
-    return len(feet) > 1 and bool(width > WIDTH * view.metre + SURE * slack)
+    return bool(width > WIDTH * view.metre + SURE * slack)
 
 
 def _scene_below(surface, lowest, extraction):

@@ -43,17 +43,14 @@ def found(mu: np.ndarray, P: np.ndarray, x: np.ndarray, block: np.ndarray,
     if len(at) < settings.min_macroblocks:
         return None
 
-    def holds(own):
-        return (own.sum() >= max(settings.min_macroblocks, LEAST_SHARE * len(at))
-                and _covers(extraction, at[own], box))
-
     rays = to_rays(view.K, extraction.x_cur[at].astype(float))
     theta, information, near, own = _rate(mu, P, rays, extraction, at, view,
                                           settings.vector_bias)
-    if not holds(near):
+    least = max(settings.min_macroblocks, LEAST_SHARE * len(at))
+    if not _fill(extraction, at[near], box, least):
         return None
     # What of the blocks is its own, and so how it moves, is not to be told where they disagree.
-    agree = holds(own)
+    agree = _fill(extraction, at[own], box, least)
     own = own if agree else near
     seen = box_of(extraction.x_cur[at[own]].astype(float), extraction.block[at[own]].astype(float))
     z, R = _observed(mu, P, theta / view.dt, np.linalg.inv(information) / view.dt**2)
@@ -80,15 +77,15 @@ def _free(extraction, box):
     return np.flatnonzero(inside & (extraction.plane_id < 0))
 
 
-def _covers(extraction, own, box):
-    """Tell whether blocks (M,) int cover enough of a box, and of its lower half.
+def _fill(extraction, own, box, number):
+    """Tell whether blocks (M,) int are that many, and cover enough of a box and its lower half.
 
     What is far behind a car ahead moves as it does, but not where the car hides the road.
     """
     area = extraction.block[own].astype(float).prod(axis=1)
     low = extraction.x_cur[own, 1] > box[1] + box[3] / 2
     least = LEAST_COVERED * np.prod(box[2:])
-    return bool(area.sum() >= least and area[low].sum() >= least / 2)
+    return bool(len(own) >= number and area.sum() >= least and area[low].sum() >= least / 2)
 
 
 def _rate(mu, P, rays, extraction, at, view, bias):

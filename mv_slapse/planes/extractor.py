@@ -239,12 +239,14 @@ class PlaneExtractor:
         shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
                         planes=tuple(observations(blank.x_cur, found)),
                         sigma=pair.sigma.astype(np.float32))
+        level = left = None
+        if rides:
+            level, left = prior.normal, departure(
+                self._memory.past_at(blank, fit, ratio), blank,
+                depths_of(pair, blank, found.evidence, _with_depth(found.evidence)), floor)
         shown, self._movers = moving_regions.with_moving_planes(
             shown, floor if rides else None, self._movers, self._settings.moving_score,
-            prior.normal if rides else None, departure(
-                self._memory.past_at(blank, fit, ratio), blank,
-                depths_of(pair, blank, found.evidence, _with_depth(found.evidence)),
-                floor) if rides else None, lone, nearer)
+            level, left, lone, nearer)
         shown = replace(shown, planes=tuple(
             plane for plane in shown.planes if plane.label is Label.MOVING))
         still = shown.label != Label.MOVING

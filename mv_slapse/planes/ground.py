@@ -14,7 +14,7 @@ from mv_slapse.planes.extraction import gather, PlaneFit, Rules
 from mv_slapse.planes.height import HeightBelief, RoadBlocks
 import numpy as np
 
-AXIS = (0.0, 0.0, 1.0)
+AXIS = np.array([0.0, 0.0, 1.0])
 UP_CAM = (0.0, -1.0, 0.0)  # a level camera: optical axes have y down
 HEIGHT_WOBBLE = 0.02  # change of log(height) between key frames: suspension and slope
 FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for afresh
@@ -321,7 +321,7 @@ def course_of(t_cur_from_prev: np.ndarray) -> np.ndarray:
     Its axis where that is out of the picture: then the road is what it looks at.
     """
     t = t_cur_from_prev
-    return t * np.sign(t[2]) if abs(t[2]) > IN_VIEW * np.linalg.norm(t) else np.array(AXIS)
+    return t * np.sign(t[2]) if abs(t[2]) > IN_VIEW * np.linalg.norm(t) else AXIS
 
 
 def corridor(rays: np.ndarray, normal: np.ndarray, course: np.ndarray = AXIS):
