@@ -115,8 +115,8 @@ class ObstacleTracker:
         for track in self._tracks:
             if track.confirmed and track.last_seen != extraction.stamp and track.is_moving(
                     self._settings):
-                item = search.found(track.mu, track.P, track.x, track.block, extraction,
-                                    self._view, self._settings)
+                item = search.found(track.mu, track.P, *track.spread(), extraction, self._view,
+                                    self._settings)
                 if item is not None:
                     track.update(replace(item, id=track.plane_id), extraction, self._view,
                                  self._settings)

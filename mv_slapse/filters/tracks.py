@@ -23,6 +23,7 @@ FOOT_SIGMA = 2.5  # [px] by which it is wrong for as long as the obstacle looks 
 SAME_OUTLINE = 0.6  # overlap with the predicted box of 96 % of right detections, or more
 LEAST_SHARED = 0.1  # of it, that counts
 SETTLED = 3  # detections that tell where the outline should be
+OUTLINE_TIME = 0.5  # [s] over which outlines are averaged: labels hold a part, or more, in a few
 CLEARANCE = 0.12  # of ln Z: vehicles seen from behind end 0.2 m above the road, of 1.65 m
 BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
 
@@ -41,6 +42,8 @@ class Track:
         Blocks 'bearing', 'log_depth', 'rate', 'slope' of obstacle_motion.
     x, block : (N, 2) float64
         Block centres, moved on by the prediction, and sizes [px].
+    outline : (4,) float64
+        Box of its body, averaged over its detections and moved on, too [px].
     edge : Edge
         Lower edge of the last detection that showed one.
     scale_prior : ScalePrior
@@ -58,6 +61,7 @@ class Track:
     state: ekf.State
     x: np.ndarray
     block: np.ndarray
+    outline: np.ndarray
     edge: Edge
     scale_prior: ScalePrior
     first_seen: int
@@ -91,11 +95,13 @@ class Track:
         growth = np.exp(np.clip(self.mu[2] - mu[2], -1, 1))
         self.x = new + growth * (self.x - old)
         self.block = growth * self.block
+        self.outline = growth * self.outline
+        self.outline[:2] += new - growth * old
         # The block that hides the lower edge moves on with time, and its error with it: ln Z is
         # never known better than a share of it.
         Q[2, 2] += (EDGE_SHARE * self.edge.half / self.edge.drop)**2 * step.dt
         ekf.predict(self.state, mu, F, Q)
-        return bool(np.all(self.body(view)[2:] > 0))
+        return bool(np.all(np.minimum(self.box(view), self.body(view))[2:] > 0))
 
     def update(self, detection: Detection, extraction: Extraction, view: View,
                settings: ObstacleSettings):
@@ -120,6 +126,7 @@ class Track:
                    evidence.R[np.ix_(rows, rows)] * excess)
         self.state.mu[om.SLOPE] = np.clip(self.mu[om.SLOPE], -om.SLOPE_LIMIT, om.SLOPE_LIMIT)
         self.plane_id, self.x, self.block = detection.id, detection.x, detection.block
+        self._follow(view)
         if detection.has_depth:
             self.scale_prior, self.edge = detection.scale_prior, detection.edge
         self.witness(extraction, view, distance, dof, shared, detection.score,
@@ -134,16 +141,26 @@ class Track:
     def continue_as(self, other: 'Track'):
         """Go on where another track of the same obstacle saw it last.
 
-        Its state is that of the two whose depth is better known: the other may be new and have
-        seen a part only, the foot of which is hidden.
+        State and outline are those of the two whose depth is better known: the other may be new
+        and have seen a part only, the foot of which is hidden.
         """
         names = ['plane_id', 'x', 'block', 'last_seen']
         if other.P[2, 2] < self.P[2, 2]:
-            names += ['state', 'edge', 'scale_prior', 'drift', 'evidence']
+            names += ['state', 'outline', 'edge', 'scale_prior', 'drift', 'evidence']
         else:
             self.evidence = within([*self.evidence, other.evidence[-1]], KEPT_EVIDENCE)
         for name in names:
             setattr(self, name, getattr(other, name))
+
+    def _follow(self, view):
+        """Draw the outline towards that of the newest blocks.
+
+        Where the picture's edge cuts it off it changes faster than the prediction can tell.
+        """
+        seen, count = body_box(self.x, self.block), len(self.evidence) + 1
+        share = max(1 - np.exp(-view.dt / OUTLINE_TIME), 1 / count)
+        gain = np.where(is_cut(seen, view), 1.0, share)
+        self.outline = self.outline + np.tile(gain, 2) * (seen - self.outline)
 
     def _disagreed(self, settings):
         """Return whether the last evidence lay outside the gate."""
@@ -207,8 +224,14 @@ class Track:
         return clipped(box_of(self.x, self.block), view)
 
     def body(self, view: View) -> np.ndarray:
-        """Return the same without what joins it in single blocks, which is what it publishes."""
-        return clipped(body_box(self.x, self.block), view)
+        """Return the outline (4,) in the picture, which is what it publishes."""
+        return clipped(self.outline, view)
+
+    def spread(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return its blocks as ``x``, ``block``, spread over its outline [px]."""
+        box = box_of(self.x, self.block)
+        growth = self.outline[2:] / box[2:]
+        return self.outline[:2] + growth * (self.x - box[:2]), growth * self.block
 
     def time_to_contact(self) -> tuple[float, float]:
         """Return the time until the seen surface reaches the camera's plane, and its variance.
@@ -233,7 +256,7 @@ class Track:
             self.id, stamp, state, view.plane_to_world(om.plane(self.mu))[0],
             view.to_world(motion.position), view.R_world_from_cam @ motion.velocity,
             turn @ motion.covariance @ turn.T, *self.time_to_contact(), self.body(view),
-            self._outline(view), len(self.x), 1e-9 * (stamp - self.first_seen), self.last_seen,
+            self._surface(view), len(self.x), 1e-9 * (stamp - self.first_seen), self.last_seen,
             self.scale_prior)
 
     def _never_averaged(self, view):
@@ -279,10 +302,10 @@ class Track:
         return PlaneHandover(stamp, self.plane_id, Label.STATIONARY, plane_world, np.zeros(3),
                              turn @ covariance @ turn.T)
 
-    def _outline(self, view):
-        """Return the corners (4, 3) of the seen surface in {W}: its box on its plane."""
-        box = body_box(self.x, self.block)
-        corners = to_rays(view.K, box[:2] + box[2:] * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
+    def _surface(self, view):
+        """Return the corners (4, 3) of the seen surface in {W}: its outline on its plane."""
+        low, size = self.outline[:2], self.outline[2:]
+        corners = to_rays(view.K, low + size * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
         relative = np.clip(1 + (corners[:, :2] - self.mu[:2]) @ self.mu[om.SLOPE], 0.5, 2.0)
         return view.to_world(corners * (np.exp(self.mu[2]) / relative)[:, None])
 
@@ -295,7 +318,8 @@ def start(detection: Detection, extraction: Extraction, view: View, track_id: in
         state.add(name, detection.z[at], detection.R[at, at])
     state.P[:] = detection.R
     track = Track(track_id, detection.id, state, detection.x, detection.block,
-                  detection.edge, detection.scale_prior, extraction.stamp, extraction.stamp)
+                  body_box(detection.x, detection.block), detection.edge,
+                  detection.scale_prior, extraction.stamp, extraction.stamp)
     track.witness(extraction, view, 0.0, 0, score=detection.score, departed=detection.departed)
     return track
 

@@ -92,12 +92,13 @@ def test_handover_has_the_covariance_of_plane_and_velocity(rng):
 @pytest.mark.parametrize('factor', [0.5, 2.0])
 def test_a_track_goes_on_as_another_with_the_depth_that_is_better_known(rng, factor):
     track, other = Moment(0.3, rng).track(), Moment(0.4, rng).track()
-    known, outline = track.mu.copy(), other.x
+    known, outlines = track.mu.copy(), (other.outline, track.outline)
     other.state.mu[2] += 0.3
     other.state.P[2, 2] = factor * track.P[2, 2]
     track.continue_as(other)
     np.testing.assert_array_equal(track.mu, other.mu if factor < 1 else known)
-    np.testing.assert_array_equal(track.x, outline)
+    np.testing.assert_array_equal(track.x, other.x)
+    assert track.outline is outlines[int(factor > 1)]
     assert (track.id, track.last_seen) == (7, other.last_seen)
     assert track.evidence[-1] == other.evidence[-1]
     assert len(track.evidence) == (1 if factor < 1 else 2)
@@ -270,12 +271,74 @@ def test_cabins_gaps_and_small_blocks_are_in_the_box_of_a_body():
 
 def test_an_obstacle_is_published_without_the_block_that_joined_it(rng):
     moment = Moment(0.5, rng)
-    track = moment.track()
+    item, track = moment.detection, moment.track()
     before = track.obstacle(0, moment.view)
-    box = track.box(moment.view)
-    track.x = np.r_[track.x, [box[:2] + (box[2] + 8, 8)]]
-    track.block = np.r_[track.block, [[16, 16]]]
-    assert track.box(moment.view)[2] == pytest.approx(box[2] + 16)
+    joins = replace(item, x=np.r_[item.x, [item.box[:2] + (item.box[2] + 8, 8)]],
+                    block=np.r_[item.block, [[16, 16]]])
+    track.update(joins, moment.extraction, moment.view, SETTINGS)
+    assert track.box(moment.view)[2] == pytest.approx(item.box[2] + 16)
     after = track.obstacle(0, moment.view)
     np.testing.assert_allclose(after.box, before.box)
-    np.testing.assert_allclose(after.outline, before.outline)
+    known = tracks.start(item, moment.extraction, moment.view, 7)
+    known.state = track.state
+    np.testing.assert_allclose(after.outline, known.obstacle(0, moment.view).outline)
+
+
+def part(item, share):
+    """Return a detection of a share of an obstacle's blocks only, those on the left."""
+    left = item.x[:, 0] <= np.quantile(item.x[:, 0], share)
+    return replace(item, x=item.x[left], block=item.block[left])
+
+
+def test_an_outline_is_that_of_several_detections(rng):
+    moment = Moment(0.5, rng)
+    item, track = moment.detection, moment.track()
+    whole, half = item.box, part(item, 0.5).box
+    assert half[2] <= 0.6 * whole[2]
+    np.testing.assert_allclose(track.body(moment.view), whole)
+    for _ in range(20):
+        track.update(item, moment.extraction, moment.view, SETTINGS)
+    track.update(part(item, 0.5), moment.extraction, moment.view, SETTINGS)
+    np.testing.assert_allclose(track.box(moment.view), half)
+    share = 1 - np.exp(-DT / tracks.OUTLINE_TIME)
+    np.testing.assert_allclose(track.body(moment.view), whole + share * (half - whole))
+    # What stays so is the outline; of two detections in all each tells half of it.
+    for _ in range(30):
+        track.update(part(item, 0.5), moment.extraction, moment.view, SETTINGS)
+    np.testing.assert_allclose(track.body(moment.view), half, atol=0.1)
+    young = moment.track()
+    young.update(part(item, 0.5), moment.extraction, moment.view, SETTINGS)
+    np.testing.assert_allclose(young.body(moment.view), (whole + half) / 2)
+
+
+def test_an_outline_that_the_picture_cuts_is_the_newest_across_but_not_down(rng):
+    moment = Moment(0.5, rng)
+    item, track = moment.detection, moment.track()
+    for _ in range(20):
+        track.update(item, moment.extraction, moment.view, SETTINGS)
+    cut = replace(item, x=item.x - (item.box[0], 10.0))
+    track.update(cut, moment.extraction, moment.view, SETTINGS)
+    share = 1 - np.exp(-DT / tracks.OUTLINE_TIME)
+    np.testing.assert_allclose(track.body(moment.view),
+                               item.box + (-item.box[0], -10 * share, 0, 0))
+
+
+def test_an_outline_moves_on_and_grows_with_the_blocks(rng):
+    first, second = Moment(0.3, rng), Moment(0.4, rng)
+    track = first.track()
+    track.update(part(first.detection, 0.5), first.extraction, first.view, SETTINGS)
+    outline, box = track.outline.copy(), box_of(track.x, track.block)
+    assert track.predict(second.step, second.view, SETTINGS)
+    moved = box_of(track.x, track.block)
+    growth = moved[2] / box[2]
+    assert growth > 1.02
+    np.testing.assert_allclose(track.outline[2:], growth * outline[2:])
+    np.testing.assert_allclose(track.outline[:2], moved[:2] + growth * (outline - box)[:2])
+
+
+def test_blocks_spread_over_an_outline_fill_it(rng):
+    moment = Moment(0.5, rng)
+    item, track = moment.detection, moment.track()
+    track.update(part(item, 0.5), moment.extraction, moment.view, SETTINGS)
+    np.testing.assert_allclose(box_of(*track.spread()), track.outline)
+    assert track.outline[2] > 1.2 * track.box(moment.view)[2]
