@@ -8,6 +8,8 @@ from mv_slapse.filters import association, footprint, management, search, tracks
 from mv_slapse.filters.detections import Detection, detections, from_handover, joined
 from mv_slapse.filters.obstacle_motion import CameraStep
 from mv_slapse.filters.view import relative_motion, View, view_of
+from mv_slapse.geometry import epipolar
+from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import (
     Extraction,
     Label,
@@ -20,6 +22,7 @@ import numpy as np
 
 OWN_IDS = 1_000_000  # ids from here on are given where a plane's id is another track's already
 STARTS_MEMORY = 5.0  # [s] over which tracks that come to nothing are counted
+SAME_DEPTH = 2.0  # times an obstacle's depth, or a share of it, that still is where it was
 TENTATIVE_LIFETIME = 0.25  # [s] a track that is not yet confirmed may go without evidence
 
 
@@ -205,7 +208,7 @@ class ObstacleTracker:
         motion = track.motion(self._view)
         sigma = float(np.sqrt(np.trace(motion.covariance[3:, 3:]) / 3))
         return management.melts_into_scene(float(np.linalg.norm(motion.velocity)), sigma,
-                                           _still_share(track, extraction), unit,
+                                           _still_share(track, extraction, self._view), unit,
                                            self._settings)
 
     def _expired(self, track, stamp):
@@ -226,9 +229,20 @@ class ObstacleTracker:
         return self._next_id
 
 
-def _still_share(track, extraction):
-    """Share of the labelled blocks inside a track's outline that are labelled stationary."""
+def _still_share(track, extraction, view):
+    """Return the share of the labelled blocks inside a track's outline that stand where it is.
+
+    Of a car that drives as fast as the camera the labels call the blocks stationary, and far off.
+    """
     low, high = track.x.min(axis=0) - 8, track.x.max(axis=0) + 8
     inside = np.all((extraction.x_cur >= low) & (extraction.x_cur <= high), axis=1)
-    labels = extraction.label[inside & (extraction.label != Label.UNKNOWN)]
-    return float(np.mean(labels == Label.STATIONARY)) if len(labels) else 0.0
+    at = np.flatnonzero(inside & (extraction.label != Label.UNKNOWN))
+    stands = extraction.label[at] == Label.STATIONARY
+    if np.any(view.t_cur_from_prev):
+        rays = (to_rays(view.K, x[at].astype(float)) for x in (extraction.x_cur,
+                                                               extraction.x_prev))
+        rho, _ = epipolar.inverse_depth(*rays, np.diag(view.K)[:2], view.R_cur_from_prev,
+                                        view.t_cur_from_prev)
+        nearer = rho * np.exp(track.mu[2])
+        stands &= (nearer > 1 / SAME_DEPTH) & (nearer < SAME_DEPTH)
+    return float(np.mean(stands)) if len(at) else 0.0

@@ -23,7 +23,7 @@ FOOT_SIGMA = 2.5  # [px] by which it is wrong for as long as the obstacle looks 
 SAME_OUTLINE = 0.6  # overlap with the predicted box of 96 % of right detections, or more
 LEAST_SHARED = 0.1  # of it, that counts
 SETTLED = 3  # detections that tell where the outline should be
-OUTLINE_TIME = 0.5  # [s] over which outlines are averaged: labels hold a part, or more, in a few
+OUTLINE_TIMES = 2.0  # correlation times over which outlines are averaged, which err alike in one
 CLEARANCE = 0.12  # of ln Z: vehicles seen from behind end 0.2 m above the road, of 1.65 m
 BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
 
@@ -126,7 +126,7 @@ class Track:
                    evidence.R[np.ix_(rows, rows)] * excess)
         self.state.mu[om.SLOPE] = np.clip(self.mu[om.SLOPE], -om.SLOPE_LIMIT, om.SLOPE_LIMIT)
         self.plane_id, self.x, self.block = detection.id, detection.x, detection.block
-        self._follow(view)
+        self._follow(view, settings)
         if detection.has_depth:
             self.scale_prior, self.edge = detection.scale_prior, detection.edge
         self.witness(extraction, view, distance, dof, shared, detection.score,
@@ -152,13 +152,14 @@ class Track:
         for name in names:
             setattr(self, name, getattr(other, name))
 
-    def _follow(self, view):
+    def _follow(self, view, settings):
         """Draw the outline towards that of the newest blocks.
 
         Where the picture's edge cuts it off it changes faster than the prediction can tell.
         """
         seen, count = body_box(self.x, self.block), len(self.evidence) + 1
-        share = max(1 - np.exp(-view.dt / OUTLINE_TIME), 1 / count)
+        lasts = max(OUTLINE_TIMES * settings.correlation_time, 1e-6)
+        share = max(1 - np.exp(-view.dt / lasts), 1 / count)
         gain = np.where(is_cut(seen, view), 1.0, share)
         self.outline = self.outline + np.tile(gain, 2) * (seen - self.outline)
 
@@ -197,14 +198,18 @@ class Track:
                 overlap: float = 1.0, score: float = 0.0, departed: float = 0.0):
         """Keep what the newest detection says, for plane management."""
         self.last_seen = extraction.stamp
+        speed = float(np.linalg.norm(self.motion(view).velocity))
+        self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp,
+                                      self.statistic(view), nis, dof, speed, overlap, score,
+                                      departed))
+        self.evidence = within(self.evidence, KEPT_EVIDENCE)
+
+    def statistic(self, view: View) -> float:
+        """Return the statistic of "it stands still", chi2 of 3 where that is so."""
         # A bumper ends above the road, so that what stands looks as if it came towards the camera.
         nearer = CLEARANCE if self.scale_prior is ScalePrior.GROUND_CONTACT else 0.0
-        statistic = om.moving_statistic(self.mu, self.P, view.scene_velocity,
-                                        view.compared_covariance, nearer)
-        speed = float(np.linalg.norm(self.motion(view).velocity))
-        self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic, nis,
-                                      dof, speed, overlap, score, departed))
-        self.evidence = within(self.evidence, KEPT_EVIDENCE)
+        return om.moving_statistic(self.mu, self.P, view.scene_velocity,
+                                   view.compared_covariance, nearer)
 
     def height(self, view: View) -> float:
         """Return how tall it looks [map unit], less a macroblock and a half for the outline."""

@@ -129,19 +129,34 @@ def test_a_car_that_stops_is_handed_over_within_a_second(rng):
     assert not any(usable(obstacles) for at, obstacles, _ in result if at > now)
 
 
-def test_a_stopped_car_whose_labels_turn_stationary_is_handed_over(rng):
-    drive = Drive((Mover(1, (0, 12), lambda t: (0, 2.0 if t < 1.5 else 0.0)),), speed=1.0)
-    tracker, handed = ObstacleTracker(SETTINGS), []
-    for i in range(22):
+def turned_stationary(drive, since, rng, seconds):
+    """Yield what a tracker returns where from some time on the labels call all stationary."""
+    tracker = ObstacleTracker(SETTINGS)
+    for i in range(round(seconds / DT)):
         now = (i + 1) * DT
         extraction = drive.extraction(now - DT, now, rng)
-        if now > 1.7:
+        if now > since:
             planes = tuple(replace(p, label=Label.STATIONARY) for p in extraction.planes)
             extraction = replace(extraction, planes=planes,
                                  label=np.zeros_like(extraction.label))
-        handed += [(now, h) for h in tracker.step(extraction, drive.scene(now - DT, now))[1]]
+        yield now, *tracker.step(extraction, drive.scene(now - DT, now))
+
+
+def test_a_stopped_car_whose_labels_turn_stationary_is_handed_over(rng):
+    drive = Drive((Mover(1, (0, 12), lambda t: (0, 2.0 if t < 1.5 else 0.0)),), speed=1.0)
+    handed = [(now, h) for now, _, handovers in turned_stationary(drive, 1.7, rng, 2.2)
+              for h in handovers]
     assert [h.id for _, h in handed] == [1]
     assert 1.7 < handed[0][0] < 2.2
+
+
+def test_a_car_as_fast_as_the_camera_whose_labels_turn_stationary_coasts(rng):
+    # So unsure of the scale its speed might be any; but a car that stopped would come near.
+    drive = Drive((Mover(1, (0, 14), (0, 10)),), scale_sigma=0.6)
+    result = list(turned_stationary(drive, 1.7, rng, 2.1))
+    assert not any(handovers for _, _, handovers in result)
+    assert [o.id for o in usable(result[-1][1])] == [1]
+    assert usable(result[-1][1])[0].state is ObstacleState.COASTING
 
 
 def questions(monkeypatch):

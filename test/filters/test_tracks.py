@@ -300,10 +300,10 @@ def test_an_outline_is_that_of_several_detections(rng):
         track.update(item, moment.extraction, moment.view, SETTINGS)
     track.update(part(item, 0.5), moment.extraction, moment.view, SETTINGS)
     np.testing.assert_allclose(track.box(moment.view), half)
-    share = 1 - np.exp(-DT / tracks.OUTLINE_TIME)
+    share = 1 - np.exp(-DT / (tracks.OUTLINE_TIMES * SETTINGS.correlation_time))
     np.testing.assert_allclose(track.body(moment.view), whole + share * (half - whole))
     # What stays so is the outline; of two detections in all each tells half of it.
-    for _ in range(30):
+    for _ in range(60):
         track.update(part(item, 0.5), moment.extraction, moment.view, SETTINGS)
     np.testing.assert_allclose(track.body(moment.view), half, atol=0.1)
     young = moment.track()
@@ -318,7 +318,7 @@ def test_an_outline_that_the_picture_cuts_is_the_newest_across_but_not_down(rng)
         track.update(item, moment.extraction, moment.view, SETTINGS)
     cut = replace(item, x=item.x - (item.box[0], 10.0))
     track.update(cut, moment.extraction, moment.view, SETTINGS)
-    share = 1 - np.exp(-DT / tracks.OUTLINE_TIME)
+    share = 1 - np.exp(-DT / (tracks.OUTLINE_TIMES * SETTINGS.correlation_time))
     np.testing.assert_allclose(track.body(moment.view),
                                item.box + (-item.box[0], -10 * share, 0, 0))
 
