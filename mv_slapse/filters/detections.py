@@ -57,7 +57,7 @@ class Detection:
     has_depth : bool
         The depth is evidence; else a prior that only a new track may use.
     has_rate : bool
-        The rate is evidence; else only the place is.
+        The rate is evidence; else only the place is, and an obstacle with no other coasts.
     x, block : (N, 2) float64
         Centres and sizes of its blocks [px].
     scale_prior : ScalePrior

@@ -129,8 +129,10 @@ class Track:
         self._follow(view, settings)
         if detection.has_depth:
             self.scale_prior, self.edge = detection.scale_prior, detection.edge
-        self.witness(extraction, view, distance, dof, shared, detection.score,
-                     detection.departed)
+        # Blocks alone do not show that it is there: the less its way is known, the more pass.
+        if detection.has_rate:
+            self.witness(extraction, view, distance, dof, shared, detection.score,
+                         detection.departed)
 
     def contains(self, part: 'Detection | Track', view: View, gate: float) -> bool:
         """Return whether a detection, or another track, is a part of this obstacle."""

@@ -8,6 +8,7 @@ from mv_slapse.filters import obstacle_motion as om
 from mv_slapse.filters import tracks
 from mv_slapse.filters.detections import _moved, body_box, box_of, detections, joined
 from mv_slapse.filters.view import view_of
+from mv_slapse.records import ObstacleState
 from numeric import jacobian
 import numpy as np
 import pytest
@@ -254,7 +255,10 @@ def test_a_place_without_a_rate_leaves_the_rate_and_its_drift(rng):
     track.update(replace(second.detection, z=shifted, has_depth=False, has_rate=False),
                  second.extraction, second.view, SETTINGS)
     np.testing.assert_array_equal(track.drift, [1.0, -2.0, 3.0])
-    assert track.evidence[-1].dof == 2
+    assert (len(track.evidence), track.last_seen) == (1, first.extraction.stamp)
+    track.confirmed = True
+    assert track.obstacle(second.extraction.stamp,
+                          second.view).state is ObstacleState.COASTING
     np.testing.assert_allclose(track.mu[om.RATE], predicted, atol=0.1)
 
 
