@@ -6,12 +6,21 @@ from drawn_movers import Drive, DT, K, Mover
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import obstacle_motion as om
 from mv_slapse.filters import tracks
-from mv_slapse.filters.detections import _moved, body_box, box_of, detections, joined
+from mv_slapse.filters.detections import (
+    _moved,
+    blurred,
+    body_box,
+    box_of,
+    detections,
+    joined,
+    TURN_SHARE,
+)
 from mv_slapse.filters.view import view_of
 from mv_slapse.records import ObstacleState
 from numeric import jacobian
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 SETTINGS = ObstacleSettings()
 DRIVE = Drive((Mover(1, (-3, 22), (0, -8)),), scale_sigma=0.0, sigma=0.05)
@@ -346,3 +355,18 @@ def test_blocks_spread_over_an_outline_fill_it(rng):
     track.update(part(item, 0.5), moment.extraction, moment.view, SETTINGS)
     np.testing.assert_allclose(box_of(*track.spread()), track.outline)
     assert track.outline[2] > 1.2 * track.box(moment.view)[2]
+
+
+def test_a_turn_of_the_camera_blurs_the_rate_by_a_share_of_it(rng):
+    moment = Moment(0.5, rng)
+    item, view = moment.detection, replace(moment.view, rotation_covariance=np.zeros((3, 3)))
+    angle, focal = 0.1, K[0, 0]
+    turn = Rotation.from_rotvec((0, angle, 0)).as_matrix()
+    still, turned = (blurred(item, replace(view, R_cur_from_prev=R), SETTINGS).R[om.RATE, om.RATE]
+                     for R in (np.eye(3), turn))
+    x = item.z[0]
+    shift = abs(np.tan(np.arctan(x) - angle) - x)  # of the middle, which is near the horizon
+    expected = (TURN_SHARE * shift / view.dt)**2
+    np.testing.assert_allclose(turned[0, 0] - still[0, 0], expected, rtol=0.02)
+    size = min(item.box[2:]) / 2
+    np.testing.assert_allclose(turned[2, 2] - still[2, 2], expected * (focal / size)**2, rtol=0.02)
