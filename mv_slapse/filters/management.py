@@ -65,7 +65,7 @@ def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSe
     detections that are one body, in enough pairs over enough time. The more tracks come to nothing
     (``false_starts``, [1/s]), the less likely the next one is an obstacle, and the surer it must
     be. That a region's score lasts tells of a body of its own where the track is ``alone``: no
-    other obstacle's box meets its own.
+    other obstacle's outline meets its own.
     """
     recent = within(evidence, settings.confirm_window)
     if len(recent) < settings.confirm_pairs:

@@ -196,9 +196,9 @@ class ObstacleTracker:
                 and track.height(self._view) <= self._view.tallest)
 
     def _is_alone(self, track):
-        """Tell whether no confirmed obstacle's box meets a track's: it is no part of one."""
-        box = track.box(self._view)
-        return not any(other.confirmed and association.box_overlap(other.box(self._view), box) > 0
+        """Tell whether no confirmed obstacle's outline meets a track's: it is no part of one."""
+        box = track.body(self._view)
+        return not any(other.confirmed and association.box_overlap(other.body(self._view), box) > 0
                        for other in self._tracks)
 
     def _has_stopped(self, track, extraction):
