@@ -117,6 +117,14 @@ def _well_covered(low, high, thickness):
             min(at[thick[-1] + 1] + 0.5 * SLIVER, np.max(high)))
 
 
+def tiles(box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return blocks (N, 2), (N, 2) that fill a box (4,), about as large as macroblocks [px]."""
+    number = np.maximum(np.round(box[2:] / MACROBLOCK), 1).astype(int)
+    size = box[2:] / number
+    place = np.indices(number).reshape(2, -1).T
+    return box[:2] + (place + 0.5) * size, np.tile(size, (len(place), 1))
+
+
 def is_cut(box: np.ndarray, view: View) -> np.ndarray:
     """Return whether the picture's edge cuts a box (4,) off across and down, (2,) bool."""
     return (box[:2] < MACROBLOCK / 2) | (box[:2] + box[2:] > view.size - MACROBLOCK / 2)
@@ -253,12 +261,13 @@ def blurred(detection, view, settings):
     """
     x, y = detection.z[om.BEARING]
     focal, ray = np.diag(view.K)[:2], np.array([[x, y, 1.0]])
-    turned = focal * (epipolar.derotate(ray, view.R_cur_from_prev.T) - ray)[0, :2]
-    error = np.hypot(settings.vector_bias, TURN_SHARE * np.linalg.norm(turned))
-    bias, growth = error / focal, error / max(0.5 * float(np.min(detection.box[2:])),
-                                              MACROBLOCK / 2)
+    turned = TURN_SHARE * (epipolar.derotate(ray, view.R_cur_from_prev.T) - ray)[0, :2]
+    error = np.hypot(settings.vector_bias, np.linalg.norm(focal * turned))
+    growth = error / max(0.5 * float(np.min(detection.box[2:])), MACROBLOCK / 2)
     turn = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x], [0.0, 0.0, 0.0]])
-    shared = np.diag(np.r_[bias**2, growth**2]) + turn @ view.rotation_covariance @ turn.T
+    shared = turn @ view.rotation_covariance @ turn.T
+    shared += np.diag(np.r_[(settings.vector_bias / focal)**2, growth**2])
+    shared[:2, :2] += np.outer(turned, turned)
     R = detection.R.copy()
     rate = detection.z[om.RATE]
     R[om.RATE, om.RATE] += shared / view.dt**2 + SHAPE_SHARE**2 * (rate @ rate) * np.eye(3)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import association, footprint, management, search, tracks
-from mv_slapse.filters.detections import Detection, detections, from_handover, joined
+from mv_slapse.filters.detections import Detection, detections, from_handover, joined, tiles
 from mv_slapse.filters.obstacle_motion import CameraStep
 from mv_slapse.filters.view import relative_motion, View, view_of
 from mv_slapse.geometry import epipolar
@@ -118,14 +118,17 @@ class ObstacleTracker:
         for track in self._tracks:
             if track.confirmed and track.last_seen != extraction.stamp and track.is_moving(
                     self._settings):
-                item = search.found(track.mu, track.P, *track.spread(), extraction, self._view,
+                # The last labels may have held a part of it only.
+                x, block = tiles(track.extent)
+                item = search.found(track.mu, track.P, x, block, extraction, self._view,
                                     self._settings)
                 if item is not None:
+                    track.x, track.block = x, block
                     track.update(replace(item, id=track.plane_id), extraction, self._view,
                                  self._settings)
 
     def _absorb(self, free, stamp):
-        """Drop detections that lie on an obstacle just updated: parts of it, not a second one."""
+        """Drop detections that lie on an obstacle just seen: parts of it, not a second one."""
         seen = [track for track in self._tracks if track.last_seen == stamp]
         return [item for item in free
                 if not any(association.overlap(track.x, item.x) > 0.3 for track in seen)]
@@ -230,19 +233,18 @@ class ObstacleTracker:
 
 
 def _still_share(track, extraction, view):
-    """Return the share of the labelled blocks inside a track's outline that stand where it is.
+    """Return the share of the labelled blocks inside a track's box that may stand where it is.
 
     Of a car that drives as fast as the camera the labels call the blocks stationary, and far off.
     """
-    low, high = track.x.min(axis=0) - 8, track.x.max(axis=0) + 8
-    inside = np.all((extraction.x_cur >= low) & (extraction.x_cur <= high), axis=1)
-    at = np.flatnonzero(inside & (extraction.label != Label.UNKNOWN))
-    stands = extraction.label[at] == Label.STATIONARY
-    if np.any(view.t_cur_from_prev):
-        rays = (to_rays(view.K, x[at].astype(float)) for x in (extraction.x_cur,
-                                                               extraction.x_prev))
-        rho, _ = epipolar.inverse_depth(*rays, np.diag(view.K)[:2], view.R_cur_from_prev,
-                                        view.t_cur_from_prev)
-        nearer = rho * np.exp(track.mu[2])
-        stands &= (nearer > 1 / SAME_DEPTH) & (nearer < SAME_DEPTH)
+    box = track.body(view)
+    inside = (extraction.x_cur >= box[:2]) & (extraction.x_cur <= box[:2] + box[2:])
+    at = np.flatnonzero(inside.all(axis=1) & (extraction.label != Label.UNKNOWN))
+    rays, before = (to_rays(view.K, x[at].astype(float)) for x in (extraction.x_cur,
+                                                                   extraction.x_prev))
+    rho, per_pixel = epipolar.inverse_depth(rays, before, np.diag(view.K)[:2],
+                                            view.R_cur_from_prev, view.t_cur_from_prev)
+    nearer, noise = np.exp(track.mu[2]) * np.array([rho, 2 * per_pixel * extraction.sigma[at]])
+    stands = ((extraction.label[at] == Label.STATIONARY)
+              & (nearer + noise > 1 / SAME_DEPTH) & (nearer - noise < SAME_DEPTH))
     return float(np.mean(stands)) if len(at) else 0.0

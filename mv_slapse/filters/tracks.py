@@ -42,7 +42,7 @@ class Track:
         Blocks 'bearing', 'log_depth', 'rate', 'slope' of obstacle_motion.
     x, block : (N, 2) float64
         Block centres, moved on by the prediction, and sizes [px].
-    outline : (4,) float64
+    extent : (4,) float64
         Box of its body, averaged over its detections and moved on, too [px].
     edge : Edge
         Lower edge of the last detection that showed one.
@@ -61,7 +61,7 @@ class Track:
     state: ekf.State
     x: np.ndarray
     block: np.ndarray
-    outline: np.ndarray
+    extent: np.ndarray
     edge: Edge
     scale_prior: ScalePrior
     first_seen: int
@@ -95,8 +95,8 @@ class Track:
         growth = np.exp(np.clip(self.mu[2] - mu[2], -1, 1))
         self.x = new + growth * (self.x - old)
         self.block = growth * self.block
-        self.outline = growth * self.outline
-        self.outline[:2] += new - growth * old
+        self.extent = growth * self.extent
+        self.extent[:2] += new - growth * old
         # The block that hides the lower edge moves on with time, and its error with it: ln Z is
         # never known better than a share of it.
         Q[2, 2] += (EDGE_SHARE * self.edge.half / self.edge.drop)**2 * step.dt
@@ -105,14 +105,17 @@ class Track:
 
     def update(self, detection: Detection, extraction: Extraction, view: View,
                settings: ObstacleSettings):
-        """Correct the state by a detection, (16), and keep what it says of the motion."""
+        """Correct the state by a detection, (16), and keep what it says of the motion.
+
+        A place alone is no evidence: the less is known of the way the more blocks pass there.
+        """
         box = self.box(view)
         shared = association.box_overlap(box, clipped(detection.box, view))
         if shared < SAME_OUTLINE and len(self.evidence) >= SETTLED:
             detection = _doubted(detection, shared, box, view)
         distance, dof = association.squared_distance(self.mu, self.P, detection)
         excess = max(1.0, distance / ekf.chi2_bound(settings.gate, dof))
-        if excess > 1 and self._disagreed(settings):
+        if excess > 1 and detection.has_rate and self._disagreed(settings):
             # Twice is no accident: it is the state that is wrong, not the detection.
             self.state.P *= excess
             excess = 1.0
@@ -126,11 +129,10 @@ class Track:
                    evidence.R[np.ix_(rows, rows)] * excess)
         self.state.mu[om.SLOPE] = np.clip(self.mu[om.SLOPE], -om.SLOPE_LIMIT, om.SLOPE_LIMIT)
         self.plane_id, self.x, self.block = detection.id, detection.x, detection.block
-        self._follow(view, settings)
         if detection.has_depth:
             self.scale_prior, self.edge = detection.scale_prior, detection.edge
-        # Blocks alone do not show that it is there: the less its way is known, the more pass.
         if detection.has_rate:
+            self._follow(extraction.stamp, view, settings)
             self.witness(extraction, view, distance, dof, shared, detection.score,
                          detection.departed)
 
@@ -143,27 +145,27 @@ class Track:
     def continue_as(self, other: 'Track'):
         """Go on where another track of the same obstacle saw it last.
 
-        State and outline are those of the two whose depth is better known: the other may be new
+        State and extent are those of the two whose depth is better known: the other may be new
         and have seen a part only, the foot of which is hidden.
         """
         names = ['plane_id', 'x', 'block', 'last_seen']
         if other.P[2, 2] < self.P[2, 2]:
-            names += ['state', 'outline', 'edge', 'scale_prior', 'drift', 'evidence']
+            names += ['state', 'extent', 'edge', 'scale_prior', 'drift', 'evidence']
         else:
             self.evidence = within([*self.evidence, other.evidence[-1]], KEPT_EVIDENCE)
         for name in names:
             setattr(self, name, getattr(other, name))
 
-    def _follow(self, view, settings):
-        """Draw the outline towards that of the newest blocks.
+    def _follow(self, stamp, view, settings):
+        """Draw the extent towards that of the newest blocks.
 
         Where the picture's edge cuts it off it changes faster than the prediction can tell.
         """
         seen, count = body_box(self.x, self.block), len(self.evidence) + 1
         lasts = max(OUTLINE_TIMES * settings.correlation_time, 1e-6)
-        share = max(1 - np.exp(-view.dt / lasts), 1 / count)
+        share = max(1 - np.exp(-1e-9 * (stamp - self.last_seen) / lasts), 1 / count)
         gain = np.where(is_cut(seen, view), 1.0, share)
-        self.outline = self.outline + np.tile(gain, 2) * (seen - self.outline)
+        self.extent = self.extent + np.tile(gain, 2) * (seen - self.extent)
 
     def _disagreed(self, settings):
         """Return whether the last evidence lay outside the gate."""
@@ -231,14 +233,8 @@ class Track:
         return clipped(box_of(self.x, self.block), view)
 
     def body(self, view: View) -> np.ndarray:
-        """Return the outline (4,) in the picture, which is what it publishes."""
-        return clipped(self.outline, view)
-
-    def spread(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return its blocks as ``x``, ``block``, spread over its outline [px]."""
-        box = box_of(self.x, self.block)
-        growth = self.outline[2:] / box[2:]
-        return self.outline[:2] + growth * (self.x - box[:2]), growth * self.block
+        """Return the extent (4,) in the picture, which is the box that it publishes."""
+        return clipped(self.extent, view)
 
     def time_to_contact(self) -> tuple[float, float]:
         """Return the time until the seen surface reaches the camera's plane, and its variance.
@@ -310,8 +306,8 @@ class Track:
                              turn @ covariance @ turn.T)
 
     def _surface(self, view):
-        """Return the corners (4, 3) of the seen surface in {W}: its outline on its plane."""
-        low, size = self.outline[:2], self.outline[2:]
+        """Return the corners (4, 3) of the seen surface in {W}: its extent on its plane."""
+        low, size = self.extent[:2], self.extent[2:]
         corners = to_rays(view.K, low + size * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
         relative = np.clip(1 + (corners[:, :2] - self.mu[:2]) @ self.mu[om.SLOPE], 0.5, 2.0)
         return view.to_world(corners * (np.exp(self.mu[2]) / relative)[:, None])

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from drawn_movers import Drive, DT, K, Mover
+from drawn_movers import Drive, DT, K, Mover, nanoseconds
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import obstacle_motion as om
 from mv_slapse.filters import tracks
@@ -13,6 +13,7 @@ from mv_slapse.filters.detections import (
     box_of,
     detections,
     joined,
+    tiles,
     TURN_SHARE,
 )
 from mv_slapse.filters.view import view_of
@@ -102,13 +103,13 @@ def test_handover_has_the_covariance_of_plane_and_velocity(rng):
 @pytest.mark.parametrize('factor', [0.5, 2.0])
 def test_a_track_goes_on_as_another_with_the_depth_that_is_better_known(rng, factor):
     track, other = Moment(0.3, rng).track(), Moment(0.4, rng).track()
-    known, outlines = track.mu.copy(), (other.outline, track.outline)
+    known, outlines = track.mu.copy(), (other.extent, track.extent)
     other.state.mu[2] += 0.3
     other.state.P[2, 2] = factor * track.P[2, 2]
     track.continue_as(other)
     np.testing.assert_array_equal(track.mu, other.mu if factor < 1 else known)
     np.testing.assert_array_equal(track.x, other.x)
-    assert track.outline is outlines[int(factor > 1)]
+    assert track.extent is outlines[int(factor > 1)]
     assert (track.id, track.last_seen) == (7, other.last_seen)
     assert track.evidence[-1] == other.evidence[-1]
     assert len(track.evidence) == (1 if factor < 1 else 2)
@@ -271,6 +272,17 @@ def test_a_place_without_a_rate_leaves_the_rate_and_its_drift(rng):
     np.testing.assert_allclose(track.mu[om.RATE], predicted, atol=0.1)
 
 
+def test_a_place_that_disagrees_does_not_unsettle_the_rate(rng):
+    moment = Moment(0.5, rng)
+    track = moment.track()
+    track.evidence[-1] = track.evidence[-1]._replace(nis=1e4, dof=6)
+    before = track.P[om.RATE, om.RATE].copy()
+    away = moment.detection.z + np.r_[0.5, 0.5, np.zeros(6)]
+    track.update(replace(moment.detection, z=away, has_depth=False, has_rate=False),
+                 moment.extraction, moment.view, SETTINGS)
+    assert np.all(np.diag(track.P)[om.RATE] <= np.diag(before) * (1 + 1e-9))
+
+
 def test_cabins_gaps_and_small_blocks_are_in_the_box_of_a_body():
     # A bonnet and a boot of one row, a cabin of two, half as wide; a column without a vector.
     x = np.r_[lattice([0, 1, 3, 4], [2]), lattice([1, 3], [0, 1])]
@@ -297,6 +309,13 @@ def test_an_obstacle_is_published_without_the_block_that_joined_it(rng):
     np.testing.assert_allclose(after.outline, known.obstacle(0, moment.view).outline)
 
 
+def again(track, moment, item, times=1):
+    """Update a track by one detection at successive stamps."""
+    for _ in range(times):
+        later = replace(moment.extraction, stamp=track.last_seen + nanoseconds(DT))
+        track.update(item, later, moment.view, SETTINGS)
+
+
 def part(item, share):
     """Return a detection of a share of an obstacle's blocks only, those on the left."""
     left = item.x[:, 0] <= np.quantile(item.x[:, 0], share)
@@ -309,28 +328,25 @@ def test_an_outline_is_that_of_several_detections(rng):
     whole, half = item.box, part(item, 0.5).box
     assert half[2] <= 0.6 * whole[2]
     np.testing.assert_allclose(track.body(moment.view), whole)
-    for _ in range(20):
-        track.update(item, moment.extraction, moment.view, SETTINGS)
-    track.update(part(item, 0.5), moment.extraction, moment.view, SETTINGS)
+    again(track, moment, item, 20)
+    again(track, moment, part(item, 0.5))
     np.testing.assert_allclose(track.box(moment.view), half)
     share = 1 - np.exp(-DT / (tracks.OUTLINE_TIMES * SETTINGS.correlation_time))
     np.testing.assert_allclose(track.body(moment.view), whole + share * (half - whole))
     # What stays so is the outline; of two detections in all each tells half of it.
-    for _ in range(60):
-        track.update(part(item, 0.5), moment.extraction, moment.view, SETTINGS)
+    again(track, moment, part(item, 0.5), 60)
     np.testing.assert_allclose(track.body(moment.view), half, atol=0.1)
     young = moment.track()
-    young.update(part(item, 0.5), moment.extraction, moment.view, SETTINGS)
+    again(young, moment, part(item, 0.5))
     np.testing.assert_allclose(young.body(moment.view), (whole + half) / 2)
 
 
 def test_an_outline_that_the_picture_cuts_is_the_newest_across_but_not_down(rng):
     moment = Moment(0.5, rng)
     item, track = moment.detection, moment.track()
-    for _ in range(20):
-        track.update(item, moment.extraction, moment.view, SETTINGS)
+    again(track, moment, item, 20)
     cut = replace(item, x=item.x - (item.box[0], 10.0))
-    track.update(cut, moment.extraction, moment.view, SETTINGS)
+    again(track, moment, cut)
     share = 1 - np.exp(-DT / (tracks.OUTLINE_TIMES * SETTINGS.correlation_time))
     np.testing.assert_allclose(track.body(moment.view),
                                item.box + (-item.box[0], -10 * share, 0, 0))
@@ -340,21 +356,31 @@ def test_an_outline_moves_on_and_grows_with_the_blocks(rng):
     first, second = Moment(0.3, rng), Moment(0.4, rng)
     track = first.track()
     track.update(part(first.detection, 0.5), first.extraction, first.view, SETTINGS)
-    outline, box = track.outline.copy(), box_of(track.x, track.block)
+    extent, box = track.extent.copy(), box_of(track.x, track.block)
     assert track.predict(second.step, second.view, SETTINGS)
     moved = box_of(track.x, track.block)
     growth = moved[2] / box[2]
     assert growth > 1.02
-    np.testing.assert_allclose(track.outline[2:], growth * outline[2:])
-    np.testing.assert_allclose(track.outline[:2], moved[:2] + growth * (outline - box)[:2])
+    np.testing.assert_allclose(track.extent[2:], growth * extent[2:])
+    np.testing.assert_allclose(track.extent[:2], moved[:2] + growth * (extent - box)[:2])
 
 
-def test_blocks_spread_over_an_outline_fill_it(rng):
-    moment = Moment(0.5, rng)
-    item, track = moment.detection, moment.track()
-    track.update(part(item, 0.5), moment.extraction, moment.view, SETTINGS)
-    np.testing.assert_allclose(box_of(*track.spread()), track.outline)
-    assert track.outline[2] > 1.2 * track.box(moment.view)[2]
+def test_an_obstacle_without_an_outline_in_the_picture_is_gone(rng):
+    first, second = Moment(0.3, rng), Moment(0.4, rng)
+    track = first.track()
+    track.extent = track.extent - (track.extent[0] + track.extent[2] + 50, 0, 0, 0)
+    assert not track.predict(second.step, second.view, SETTINGS)
+
+
+@pytest.mark.parametrize('size', [(90.0, 40.0), (5.0, 200.0), (16.0, 16.0)])
+def test_tiles_fill_a_box_with_blocks_like_macroblocks(size):
+    box = np.r_[-3.0, 7.0, size]
+    x, block = tiles(box)
+    np.testing.assert_allclose(box_of(x, block), box)
+    np.testing.assert_allclose(body_box(x, block), box)
+    assert block.prod(axis=1).sum() == pytest.approx(np.prod(size))
+    assert np.all(block[:, np.array(size) >= 16] > 10)
+    assert np.all(block < 24)
 
 
 def test_a_turn_of_the_camera_blurs_the_rate_by_a_share_of_it(rng):
