@@ -10,6 +10,7 @@ from mv_slapse.records import (
     Label,
     MapPlane,
     MotionStatus,
+    ObstacleState,
     PlaneObservation,
     ScaleStatus,
     SceneEstimate,
@@ -147,3 +148,8 @@ class Drive:
 
 def nanoseconds(time):
     return int(round(time * 1e9))
+
+
+def usable(obstacles):
+    """Return the obstacles that a planner may use."""
+    return [o for o in obstacles if o.state is not ObstacleState.TENTATIVE]
