@@ -202,18 +202,14 @@ class Track:
                 overlap: float = 1.0, score: float = 0.0, departed: float = 0.0):
         """Keep what the newest detection says, for plane management."""
         self.last_seen = extraction.stamp
-        speed = float(np.linalg.norm(self.motion(view).velocity))
-        self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp,
-                                      self.statistic(view), nis, dof, speed, overlap, score,
-                                      departed))
-        self.evidence = within(self.evidence, KEPT_EVIDENCE)
-
-    def statistic(self, view: View) -> float:
-        """Return the statistic of "it stands still", chi2 of 3 where that is so."""
         # A bumper ends above the road, so that what stands looks as if it came towards the camera.
         nearer = CLEARANCE if self.scale_prior is ScalePrior.GROUND_CONTACT else 0.0
-        return om.moving_statistic(self.mu, self.P, view.scene_velocity,
-                                   view.compared_covariance, nearer)
+        statistic = om.moving_statistic(self.mu, self.P, view.scene_velocity,
+                                        view.compared_covariance, nearer)
+        speed = float(np.linalg.norm(self.motion(view).velocity))
+        self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic, nis,
+                                      dof, speed, overlap, score, departed))
+        self.evidence = within(self.evidence, KEPT_EVIDENCE)
 
     def height(self, view: View) -> float:
         """Return how tall it looks [map unit], less a macroblock and a half for the outline."""
