@@ -93,6 +93,11 @@ def box_of(x: np.ndarray, block: np.ndarray) -> np.ndarray:
     return np.r_[low, high - low]
 
 
+def inside(x: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Return which pixels (N, 2) lie in a box (4,), (N,) bool."""
+    return np.all((x >= box[:2]) & (x <= box[:2] + box[2:]), axis=1)
+
+
 def body_box(x: np.ndarray, block: np.ndarray) -> np.ndarray:
     """Return the box (4,) between the first and last rows and columns that many blocks cover.
 

@@ -5,7 +5,14 @@ from dataclasses import replace
 
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import association, footprint, management, search, tracks
-from mv_slapse.filters.detections import Detection, detections, from_handover, joined, tiles
+from mv_slapse.filters.detections import (
+    Detection,
+    detections,
+    from_handover,
+    inside,
+    joined,
+    tiles,
+)
 from mv_slapse.filters.obstacle_motion import CameraStep
 from mv_slapse.filters.view import relative_motion, View, view_of
 from mv_slapse.geometry import epipolar
@@ -237,9 +244,8 @@ def _still_share(track, extraction, view):
 
     Of a car that drives as fast as the camera the labels call the blocks stationary, and far off.
     """
-    box = track.body(view)
-    inside = (extraction.x_cur >= box[:2]) & (extraction.x_cur <= box[:2] + box[2:])
-    at = np.flatnonzero(inside.all(axis=1) & (extraction.label != Label.UNKNOWN))
+    at = np.flatnonzero(inside(extraction.x_cur, track.body(view))
+                        & (extraction.label != Label.UNKNOWN))
     rays, before = (to_rays(view.K, x[at].astype(float)) for x in (extraction.x_cur,
                                                                    extraction.x_prev))
     rho, per_pixel = epipolar.inverse_depth(rays, before, np.diag(view.K)[:2],

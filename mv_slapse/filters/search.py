@@ -8,7 +8,14 @@ so are its own. They correct the rate and, weakly, the place; the depth is left 
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import ekf
 from mv_slapse.filters import obstacle_motion as om
-from mv_slapse.filters.detections import bearing_covariance, blurred, box_of, Detection, Edge
+from mv_slapse.filters.detections import (
+    bearing_covariance,
+    blurred,
+    box_of,
+    Detection,
+    Edge,
+    inside,
+)
 from mv_slapse.filters.view import View
 from mv_slapse.geometry import moving_plane
 from mv_slapse.geometry.camera import to_rays
@@ -72,9 +79,7 @@ def _observed(mu, P, rate, covariance):
 
 def _free(extraction, box):
     """Return the blocks (M,) int inside a box that are on no plane."""
-    x = extraction.x_cur
-    inside = np.all((x >= box[:2]) & (x <= box[:2] + box[2:]), axis=1)
-    return np.flatnonzero(inside & (extraction.plane_id < 0))
+    return np.flatnonzero(inside(extraction.x_cur, box) & (extraction.plane_id < 0))
 
 
 def _fill(extraction, own, box, number):

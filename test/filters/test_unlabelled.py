@@ -34,10 +34,10 @@ def turned_stationary(drive, since, rng, seconds):
 @pytest.mark.parametrize('speed', [0.0, 0.3, 1.0, 2.0])
 def test_a_stopped_car_whose_labels_turn_stationary_is_handed_over(rng, speed, depth):
     drive = Drive((Mover(1, (0, depth), lambda t: (0, 2.0 if t < 1.5 else 0.0)),), speed=speed)
-    handed = [(now, h) for now, _, handovers in turned_stationary(drive, 1.7, rng, 2.3)
+    handed = [(now, h) for now, _, handovers in turned_stationary(drive, 1.7, rng, 2.2)
               for h in handovers]
     assert [h.id for _, h in handed] == [1]
-    assert 1.7 < handed[0][0] < 2.3
+    assert 1.7 < handed[0][0] < 2.2
 
 
 def test_what_stands_nearer_or_farther_than_an_obstacle_is_not_it(rng):
