@@ -10,6 +10,7 @@ from mv_slapse.filters.detections import (
     detections,
     from_handover,
     inside,
+    is_cut,
     joined,
     tiles,
 )
@@ -72,9 +73,9 @@ class ObstacleTracker:
         if self._scene is not None and extraction.stamp <= self._scene.stamp:
             return self._obstacles(self._scene.stamp), []
         view = view_of(extraction, scene, self._scene, self._view)
-        self._predict(extraction, scene, view)
+        gone = self._predict(extraction, scene, view)
         self._scene, self._view = scene, view
-        owners = {track.plane_id: track.id for track in self._tracks}
+        owners = {track.plane_id: track for track in (*gone, *self._tracks)}
         expected = {track.plane_id: track.box(view) for track in self._tracks}
         found = [joined(group, view) for group in association.groups(
             detections(extraction, view, self._settings), self._settings.gate, expected,
@@ -88,16 +89,17 @@ class ObstacleTracker:
         return self._finish(extraction)
 
     def _predict(self, extraction, scene, view):
-        """Move the tracks on, dropping those that leave the view."""
+        """Move the tracks on; drop and return those that leave the view."""
         if self._scene is None:
-            return
+            return []
         dt = 1e-9 * (extraction.stamp - self._scene.stamp)
         R, t = view.R_cur_from_prev, view.t_cur_from_prev
         if extraction.previous_stamp != self._scene.stamp:
             R, t = relative_motion(self._scene, scene)
         step = CameraStep(R, t, dt, self._view.scene_velocity, self._view.scene_covariance)
-        self._tracks = [track for track in self._tracks
-                        if track.predict(step, view, self._settings)]
+        gone = [track for track in self._tracks if not track.predict(step, view, self._settings)]
+        self._tracks = [track for track in self._tracks if track not in gone]
+        return gone
 
     def _continue(self, found, owners, extraction):
         """Update tracks by their detections; return the detections that have none."""
@@ -106,14 +108,29 @@ class ObstacleTracker:
         taken, free = {j for _, j in pairs}, []
         for item in (item for j, item in enumerate(found) if j not in taken):
             home = next((i for i in parts if self._tracks[i].contains(
-                item, self._view, self._settings.gate) and owners.get(
-                    item.id, self._tracks[i].id) == self._tracks[i].id
+                item, self._view, self._settings.gate)
+                and owners.get(item.id, self._tracks[i]) is self._tracks[i]
                 and self._may_be_one([*parts[i], item], extraction)), None)
             (free if home is None else parts[home]).append(item)
         for i, group in parts.items():
             self._tracks[i].update(joined(group, self._view), extraction, self._view,
                                    self._settings)
-        return free
+        return [item for item in free if not self._is_other_face(item, owners, extraction)]
+
+    def _is_other_face(self, item, owners, extraction):
+        """Tell whether a detection is what the picture's edge leaves of an obstacle; restart that.
+
+        Where the front has left the picture the side is seen, which lies and grows otherwise.
+        """
+        track = owners.get(item.id)
+        if (track is None or track.last_seen == extraction.stamp
+                or not all(np.any(is_cut(box, self._view))
+                           for box in (item.box, track.body(self._view)))):
+            return False
+        track.restart(item, extraction, self._view)
+        if track not in self._tracks:
+            self._tracks.append(track)
+        return True
 
     def _may_be_one(self, group, extraction):
         """Return whether detections may be surfaces of one vehicle by the ground they cover."""
@@ -126,7 +143,7 @@ class ObstacleTracker:
             if track.confirmed and track.last_seen != extraction.stamp and track.is_moving(
                     self._settings):
                 # The last labels may have held a part of it only.
-                x, block = tiles(track.extent)
+                x, block = tiles(track.body(self._view))
                 item = search.found(track.mu, track.P, x, block, extraction, self._view,
                                     self._settings)
                 if item is not None:

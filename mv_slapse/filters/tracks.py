@@ -156,6 +156,14 @@ class Track:
         for name in names:
             setattr(self, name, getattr(other, name))
 
+    def restart(self, detection: Detection, extraction: Extraction, view: View):
+        """Go on with what a detection alone tells, as of another face of the same vehicle."""
+        new = start(detection, extraction, view, self.id)
+        for name in ('plane_id', 'state', 'x', 'block', 'extent', 'edge', 'scale_prior',
+                     'last_seen', 'drift'):
+            setattr(self, name, getattr(new, name))
+        self.evidence = within([*self.evidence, *new.evidence], KEPT_EVIDENCE)
+
     def _follow(self, stamp, view, settings):
         """Draw the extent towards that of the newest blocks.
 
@@ -281,7 +289,7 @@ class Track:
 
         A vehicle shows some of its side as well, and the picture's edge may cut it off.
         """
-        box = box_of(self.x, self.block)
+        box = self.body(view)
         share = PART_SHARE if np.any(is_cut(box, view)) else POINT_SHARE
         return share * np.max(box[2:] / np.diag(view.K)[:2]) * np.exp(self.mu[2])
 

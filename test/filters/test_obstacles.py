@@ -236,6 +236,27 @@ def test_passing_cars_keep_their_ids(rng):
             assert np.linalg.norm(o.position - mover.centre(now)) < 6
 
 
+@pytest.mark.parametrize(('place', 'ids'), [
+    ((-2.6, 24.25), {1}), ((1.0, 26.0), {1, 1_000_001})])
+def test_a_car_that_passes_stays_itself_when_only_its_side_is_seen(rng, place, ids):
+    # What is seen in the middle of the picture is another car, whatever the region is called.
+    front = Drive((Mover(1, (-3.5, 22), (0, -8)),))
+    rest = Drive((Mover(1, place, (0, -8), size=(4.5, 1.5), yaw=np.pi / 2 * (place[0] < 0)),))
+    tracker, seen, errors_ahead = ObstacleTracker(SETTINGS), set(), []
+    for i in range(11):
+        now = (i + 1) * DT
+        drive = front if now < 0.95 else rest
+        obstacles, _ = tracker.step(drive.extraction(now - DT, now, rng),
+                                    drive.scene(now - DT, now))
+        seen |= {o.id for o in usable(obstacles)}
+        if drive is rest:
+            errors_ahead += [o.position[2] - rest.movers[0].centre(now)[2] for o in obstacles
+                             if o.id == max(ids)]
+    assert seen == ids
+    assert len(errors_ahead) == 2
+    np.testing.assert_allclose(errors_ahead, 0.0, atol=2.0)
+
+
 def test_a_plane_handed_over_becomes_a_track_with_its_place_and_speed(rng):
     drive = replace(CASES['slower'], label=Label.STATIONARY)
     now = 0.5

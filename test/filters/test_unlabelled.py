@@ -90,3 +90,12 @@ def test_a_car_as_fast_as_the_camera_whose_labels_turn_stationary_coasts(rng):
     assert not any(handovers for _, _, handovers in result)
     assert [o.id for o in usable(result[-1][1])] == [1]
     assert usable(result[-1][1])[0].state is ObstacleState.COASTING
+
+
+def test_a_position_is_as_sure_as_the_outline_tells_not_the_newest_blocks(rng):
+    extraction = SAME_SPEED.extraction(0.9, 1.0, rng)
+    view = view_of(extraction, SAME_SPEED.scene(0.9, 1.0), None)
+    track = tracks.start(detections(extraction, view, SETTINGS)[0], extraction, view, 1)
+    whole = track.obstacle(extraction.stamp, view).covariance
+    track.x, track.block = track.x[:4], track.block[:4]
+    np.testing.assert_array_equal(track.obstacle(extraction.stamp, view).covariance, whole)
