@@ -143,11 +143,11 @@ class ObstacleTracker:
             if track.confirmed and track.last_seen != extraction.stamp and track.is_moving(
                     self._settings):
                 # The last labels may have held a part of it only.
-                x, block = tiles(track.body(self._view))
-                item = search.found(track.mu, track.P, x, block, extraction, self._view,
+                box = track.body(self._view)
+                item = search.found(track.mu, track.P, box, extraction, self._view,
                                     self._settings)
                 if item is not None:
-                    track.x, track.block = x, block
+                    track.x, track.block = tiles(box)
                     track.update(replace(item, id=track.plane_id), extraction, self._view,
                                  self._settings)
 

@@ -15,6 +15,7 @@ from mv_slapse.filters.detections import (
     Detection,
     Edge,
     inside,
+    tiles,
 )
 from mv_slapse.filters.view import View
 from mv_slapse.geometry import moving_plane
@@ -31,21 +32,20 @@ WEAK = 1e-6  # share of the prediction's information that counts as seen
 FREE_SLOPE = 1.0  # standard deviation: vectors inside a box tell little of the slope
 
 
-def found(mu: np.ndarray, P: np.ndarray, x: np.ndarray, block: np.ndarray,
-          extraction: Extraction, view: View, settings: ObstacleSettings) -> Detection | None:
+def found(mu: np.ndarray, P: np.ndarray, box: np.ndarray, extraction: Extraction, view: View,
+          settings: ObstacleSettings) -> Detection | None:
     """Return a predicted obstacle's own blocks as a detection without depth, or None.
 
     Parameters
     ----------
     mu, P : (8,), (8, 8) arrays
         Predicted state.
-    x, block : (N, 2), (N, 2) arrays
-        Predicted centres and sizes of its blocks [px].
+    box : (4,) array
+        Predicted box of its body in the picture [px].
     extraction : Extraction
         Its planes keep their blocks.
     view, settings : View, ObstacleSettings
     """
-    box = box_of(x, block)
     at = _free(extraction, box)
     if len(at) < settings.min_macroblocks:
         return None
@@ -62,12 +62,10 @@ def found(mu: np.ndarray, P: np.ndarray, x: np.ndarray, block: np.ndarray,
     seen = box_of(extraction.x_cur[at[own]].astype(float), extraction.block[at[own]].astype(float))
     z, R = _observed(mu, P, theta / view.dt, np.linalg.inv(information) / view.dt**2)
     z[om.BEARING] = to_rays(view.K, (seen[:2] + seen[2:] / 2)[None])[0, :2]
+    x, block = tiles(box + FOLLOW * (seen - box))
     R[om.BEARING, om.BEARING] = 4 * bearing_covariance(seen, block, view)
-    moved = box + FOLLOW * (seen - box)
-    scale = moved[2:] / box[2:]
-    return blurred(Detection(-1, z, R, False, moved[:2] + scale * (x - box[:2]), scale * block,
-                             ScalePrior.NONE, Edge(0.0, 0.0, 1.0), has_rate=agree),
-                   view, settings)
+    return blurred(Detection(-1, z, R, False, x, block, ScalePrior.NONE, Edge(0.0, 0.0, 1.0),
+                             has_rate=agree), view, settings)
 
 
 def _observed(mu, P, rate, covariance):
