@@ -26,7 +26,7 @@ from mv_slapse.planes.region_scores import (
     scores,
     Seen,
 )
-from mv_slapse.records import Extraction, Label, PlaneObservation
+from mv_slapse.records import Extraction, Label, MotionStatus, PlaneObservation
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -48,6 +48,7 @@ RISING = (0.3, 2)  # share of a car's departed blocks off it, 0.3 to 1 as measur
 FITS = 3.0  # sigma of the epipolar error of a block whose apparent depth tells something
 FAR = 1.5  # px of parallax, less is far off,
 RESTING = 0.75  # px, or rests where the camera stands
+GROWTH = 1.0  # [1/s] by which things grow or shrink before a standing camera: contact in a second
 FADING = 0.85  # of the score from pair to pair
 KEPT = 0.5  # of the score at which a region moves: enough for what was or is beside a mover
 
@@ -59,7 +60,7 @@ class _Field:
     ``ground_like`` blocks move as the ground does and have not left where they stood, ``far`` ones
     above the horizon do not move, ``below`` ones look farther than the ground that they would
     hide; those that ``fits`` tells of move along their epipolar lines. ``growth`` is what their
-    depth makes the parallax grow by for each px outwards.
+    depth makes the parallax grow by for each px outwards, known to ``free_growth``.
     """
 
     x: np.ndarray
@@ -72,6 +73,7 @@ class _Field:
     fits: np.ndarray
     departure: np.ndarray
     growth: np.ndarray
+    free_growth: float
     plane_id: np.ndarray
     ground: np.ndarray | None
     nearer: float
@@ -168,9 +170,11 @@ def _motion_field(extraction, ground, level, departure, lone, nearer):
     far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < least)
     below = rho + 2 * noise < BELOW_GROUND * under
     nearing = np.maximum(-rho * t[2], 0.0)
+    pair_time = 1e-9 * (extraction.stamp - extraction.previous_stamp)
+    free_growth = GROWTH * pair_time * (motion.status is MotionStatus.STANDSTILL)
     seen = Seen(x, rho, noise, under, _copied(extraction), np.full(len(x), OUTLIER))
     return _Field(x, extraction.block.astype(float), parallax, rho, ground_like, far, below,
-                  error < FITS, departure, nearing / (1 + nearing),
+                  error < FITS, departure, nearing / (1 + nearing), free_growth,
                   extraction.plane_id, ground, nearer, level, seen,
                   with_lone(seen, lone, motion, ground))
 
@@ -210,9 +214,12 @@ def _alike_pairs(motion_field):
     # Where all vectors are short a pixel would join the whole scene.
     slack = np.clip(ALIKE_SHORT * np.median(np.linalg.norm(m, axis=1)), 0.5, 1.0) * ALIKE[0]
     # What comes near grows: the vectors of one surface differ the more the farther apart they are.
-    growth = np.minimum(motion_field.growth[a], motion_field.growth[b])[:, None]
-    apart, left = (np.linalg.norm(m[a] - m[b] - by * (x[a] - x[b]), axis=1)
-                   for by in (0.0, growth))
+    by, growth = x[a] - x[b], np.minimum(motion_field.growth[a], motion_field.growth[b])
+    own = np.sum((m[a] - m[b]) * by, axis=1) / np.sum(by**2, axis=1)
+    free = motion_field.free_growth
+    growth = np.clip(own, growth - free, growth + free)
+    apart, left = (np.linalg.norm(m[a] - m[b] - share[:, None] * by, axis=1)
+                   for share in (np.zeros(len(a)), growth))
     same = (apart < slack + ALIKE[1] * longer) | (left < slack + ALIKE[2] * longer)
     # A car before a facade may move as it does for a while: what is a plane stays by itself.
     same &= (plane[a] == plane[b]) & ~motion_field.far[a] & ~motion_field.far[b]

@@ -255,6 +255,17 @@ def test_a_car_that_comes_near_is_one_region_though_its_vectors_differ():
     assert len(np.unique(found.plane_id[own])) == 1
 
 
+@pytest.mark.parametrize('growth', [-0.1, 0.1])
+def test_before_a_standing_camera_a_car_near_by_is_one_region(growth):
+    pair, car, _, _ = behind_a_car_of_the_same_speed(10**9)
+    off = growth * (pair.x_cur - np.float32([320, 235])) * car[:, None]
+    pair = replace(pair, previous_stamp=8 * 10**8, x_prev=pair.x_cur - off,
+                   motion=CameraMotion(MotionStatus.STANDSTILL, np.eye(3), np.zeros(3)))
+    found, _ = with_moving_planes(pair, None, Memory(), THRESHOLD / 2)
+    assert np.mean(found.label[car] == Label.MOVING) == 1.0
+    assert [plane.n_macroblocks for plane in found.planes] == [car.sum()]
+
+
 def test_lone_vectors_on_the_road_tell_that_what_seems_near_comes_near():
     pair, car, trees, ground = behind_a_car_of_the_same_speed(1)
     road, x = ~car & ~trees, pair.x_cur.astype(float)
