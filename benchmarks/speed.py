@@ -94,8 +94,8 @@ def merged(packets: list[Packet], camera: Camera, settings: Settings) -> list[Co
 def seconds_of_pipeline(pairs: list[Correspondences], camera: Camera,
                         settings: Settings) -> dict[str, float]:
     """Return the CPU seconds of extraction, scene filter and tracker; steps as in pipeline.py."""
-    extractor, scene_filter = PlaneExtractor(camera, settings.extraction), SceneFilter(
-        settings.scene)
+    extractor = PlaneExtractor(camera, settings.extraction, settings.scene.camera_height)
+    scene_filter = SceneFilter(settings.scene)
     tracker, to_scene = ObstacleTracker(settings.obstacles), []
     total = {'extraction': 0.0, 'scene filter': 0.0, 'obstacle tracker': 0.0}
     for pair in pairs:

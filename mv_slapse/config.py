@@ -9,6 +9,8 @@ from typing import Any
 
 from mv_slapse.errors import UsageError
 
+USUAL_HEIGHT = 1.65  # [m] of the camera, where nobody gives it
+
 
 def setting(default: Any, unit: str, meaning: str, low: Any = None, high: Any = None) -> Any:
     """Return a dataclass field that carries its unit, its meaning and its bounds."""
@@ -140,12 +142,18 @@ class ExtractionSettings(Checked):
 
 
 @dataclass(frozen=True)
-class SceneSettings(Checked):
-    """Filter of camera and stationary planes, [SLAPSE] VI and [MVO] 5."""
+class MountSettings(Checked):
+    """How the camera is mounted: from it come the scale and how large vehicles look."""
 
     camera_height: float = setting(
         0.0, 'm', 'height of a camera that is rigidly mounted on a ground vehicle; 0: unknown, '
-        'the scale stays free', 0.0)
+        'the scale stays free and vehicles are taken to look as from 1.65 m', 0.0)
+
+
+@dataclass(frozen=True)
+class SceneSettings(MountSettings):
+    """Filter of camera and stationary planes, [SLAPSE] VI and [MVO] 5."""
+
     camera_height_sigma: float = setting(
         0.02, '-', 'standard deviation of that height above the road that is seen, as a share of '
         'it: suspension, crown and bumps', 1e-4, 1.0)

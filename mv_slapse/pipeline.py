@@ -34,7 +34,8 @@ class Slapse:
 
     def __init__(self, camera: Camera, settings: Settings):
         """Start before the first key frame."""
-        self._extractor = PlaneExtractor(camera, settings.extraction)
+        self._extractor = PlaneExtractor(camera, settings.extraction,
+                                         settings.scene.camera_height)
         self._scene = SceneFilter(settings.scene)
         self._tracker = ObstacleTracker(settings.obstacles)
         self._to_scene: list[PlaneHandover] = []

@@ -262,3 +262,20 @@ def test_sixty_frames_of_a_real_street_are_followed(data, name, percent, rigid_p
     assert found['n_poses'] >= 25
     assert found['ate_mean_percent'] < percent
     assert found['ate_rigid_mean_percent'] < rigid_percent
+
+
+@pytest.mark.parametrize(('height', 'least', 'most'), [(0.5, 0.9, 1.0), (0.0, 0.0, 0.0)],
+                         ids=['told', 'untold'])
+def test_an_oncoming_car_is_no_building_to_a_low_camera_whose_height_is_told(height, least, most):
+    street = Street(StreetSettings(n_frames=200, camera_height=0.5, speed=4.0,
+                                   movers=('oncoming',)))
+    slapse, rng = Slapse(street.camera, Settings(scene=SceneSettings(camera_height=height))), (
+        np.random.default_rng(0))
+    shares = []
+    for j in range(6, 198, 6):
+        pair = draw(street, j - 6, j, rng, 0.3, 0.05)
+        found, on_it = slapse.step(pair.correspondences).extraction, pair.label == Label.MOVING
+        if np.sum(on_it) >= 12:
+            shares.append(np.mean(found.label[on_it] == Label.MOVING))
+    assert len(shares) >= 6
+    assert least <= np.mean(shares[2:]) <= most

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from mv_slapse.config import SceneSettings
+from mv_slapse.config import SceneSettings, USUAL_HEIGHT
 from mv_slapse.geometry import plane as planes
 from mv_slapse.records import Extraction, MotionStatus, ScaleStatus, SceneEstimate
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 SPAN = 1.0  # [s] whose baselines tell the depth of an obstacle
 UNSCALED_SPEED = 0.1  # 1 m/s as a share of the camera's speed, where no scale is known
 TALLEST = 5.0  # [m] a lorry of 4 m, seen to a macroblock or so
-USUAL_HEIGHT = 1.65  # [m] of the camera, where no scale is known
 OUT_OF_SIGHT = 0.2  # [s] a pair or two without ground; up to then the map knows better
 LEAST_SPEED_ERROR = 0.01  # share of the camera's speed, if its filter claims to know better
 

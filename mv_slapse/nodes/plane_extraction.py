@@ -1,7 +1,7 @@
 """Merged motion vectors in; camera motion and labelled planes of each key frame pair out."""
 
 from mv_slapse import fields
-from mv_slapse.config import ExtractionSettings
+from mv_slapse.config import ExtractionSettings, MountSettings
 from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import RosFrames
@@ -34,11 +34,14 @@ class PlaneExtractionNode(Shell):
     def restart(self):
         """Forget all planes."""
         if self._camera.camera is not None:
-            self._extractor = PlaneExtractor(self._camera.camera,
-                                             self.settings[ExtractionSettings])
+            self._start(self._camera.camera)
+
+    def _start(self, camera: Camera):
+        self._extractor = PlaneExtractor(camera, self.settings[ExtractionSettings],
+                                         self.settings[MountSettings].camera_height)
 
     def _on_camera(self, camera: Camera):
-        self._extractor = PlaneExtractor(camera, self.settings[ExtractionSettings])
+        self._start(camera)
         self._gate.drain()
 
     def _extract(self, msg: Correspondences):

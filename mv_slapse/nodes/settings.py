@@ -10,6 +10,7 @@ from mv_slapse.config import (
     Checked,
     DecoderSettings,
     ExtractionSettings,
+    MountSettings,
     ObstacleSettings,
     SceneSettings,
     setting,
@@ -102,11 +103,12 @@ _FRAMES = ('', FrameSettings)
 _SCENE_OUTPUT, _OBSTACLE_OUTPUT = ('', SceneOutputSettings), ('', ObstacleOutputSettings)
 _DECODER, _EXTRACTION = ('decoder', DecoderSettings), ('extraction', ExtractionSettings)
 _SCENE, _OBSTACLES = ('scene', SceneSettings), ('obstacles', ObstacleSettings)
+_MOUNT = ('scene', MountSettings)
 
 #: node name -> (prefix, settings class) of each group of its parameters
 NODE_SETTINGS: dict[str, tuple[tuple[str, type], ...]] = {
     'decoder': (_VIDEO, _CAMERA, _DECODER),
-    'plane_extraction': (_CAMERA, _EXTRACTION),
+    'plane_extraction': (_CAMERA, _MOUNT, _EXTRACTION),
     'slam': (_FRAMES, _SCENE_OUTPUT, _SCENE),
     'obstacle_tracker': (_FRAMES, _OBSTACLE_OUTPUT, _OBSTACLES),
     'all_in_one': (_VIDEO, _CAMERA, _FRAMES, _SCENE_OUTPUT, _OBSTACLE_OUTPUT, _DECODER,

@@ -3,7 +3,7 @@
 from dataclasses import replace
 import itertools
 
-from mv_slapse.config import ExtractionSettings
+from mv_slapse.config import ExtractionSettings, USUAL_HEIGHT
 from mv_slapse.geometry import epipolar, rotation, two_view
 from mv_slapse.geometry.camera import Camera, undistort
 from mv_slapse.planes import (
@@ -46,9 +46,10 @@ MANY_MOVERS = 0.9  # share of blocks left below which the motion is estimated an
 class PlaneExtractor:
     """Turns correspondences into camera motion, labelled planes and labelled macroblocks."""
 
-    def __init__(self, camera: Camera, settings: ExtractionSettings):
-        """Start without memory of any plane."""
+    def __init__(self, camera: Camera, settings: ExtractionSettings, camera_height: float = 0.0):
+        """Start without memory of any plane; the camera's height is in metres, 0: unknown."""
         self._camera = camera
+        self._camera_height = camera_height or USUAL_HEIGHT
         self._settings = settings
         self._memory = Memory(ground=GroundTrack(Mount(
             spread=settings.ground_tilt, widest=settings.ground_tilt)))
@@ -149,7 +150,8 @@ class PlaneExtractor:
         label = np.where(still, Label.STATIONARY, Label.UNKNOWN).astype(np.int8)
         shown, self._movers = moving_regions.with_moving_planes(
             replace(blank, label=label, motion=motion), None, self._movers,
-            self._settings.moving_score, self._memory.ground.mount.normal)
+            self._settings.moving_score, self._memory.ground.mount.normal,
+            camera_height=self._camera_height)
         return shown
 
     def _motion(self, pair: two_view.Pair) -> MotionFit:
@@ -246,7 +248,7 @@ class PlaneExtractor:
                 depths_of(pair, blank, found.evidence, _with_depth(found.evidence)), floor)
         shown, self._movers = moving_regions.with_moving_planes(
             shown, floor if rides else None, self._movers, self._settings.moving_score,
-            level, left, lone, nearer)
+            level, left, lone, nearer, self._camera_height)
         shown = replace(shown, planes=tuple(
             plane for plane in shown.planes if plane.label is Label.MOVING))
         still = shown.label != Label.MOVING

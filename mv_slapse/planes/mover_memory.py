@@ -132,3 +132,14 @@ def majority(members: list[np.ndarray], ids: np.ndarray) -> np.ndarray:
             values, count = np.unique(known, return_counts=True)
             result[i] = values[count.argmax()]
     return result
+
+
+def named(members: list[np.ndarray], moves: np.ndarray, before: np.ndarray, next_id: int
+          ) -> tuple[np.ndarray, int]:
+    """Return the ids (R,) of regions that move: of the region they come from, or a new one."""
+    ids, taken = np.full(len(members), -1), set()
+    for i in sorted(np.flatnonzero(moves), key=lambda i: -len(members[i])):
+        ids[i] = before[i] if before[i] >= 0 and before[i] not in taken else next_id
+        next_id += int(ids[i] == next_id)
+        taken.add(ids[i])
+    return ids, next_id

@@ -10,12 +10,13 @@ last, does not.
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from mv_slapse.config import USUAL_HEIGHT
 from mv_slapse.geometry import epipolar, moving_plane
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice, sunken
 from mv_slapse.planes.lone_vectors import with_lone
-from mv_slapse.planes.mover_memory import better_half, FIRST_ID, majority, Memory
+from mv_slapse.planes.mover_memory import better_half, FIRST_ID, majority, Memory, named
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
 from mv_slapse.planes.region_scores import (
     Blocks,
@@ -93,7 +94,8 @@ class _Fitted(NamedTuple):
 def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory: Memory,
                        threshold: float, level: np.ndarray | None = None,
                        departure: np.ndarray | None = None, lone: Extraction | None = None,
-                       nearer: float = 1.0) -> tuple[Extraction, Memory]:
+                       nearer: float = 1.0, camera_height: float = USUAL_HEIGHT
+                       ) -> tuple[Extraction, Memory]:
     """Add the moving planes of a pair to what was found stationary in it.
 
     Parameters
@@ -111,10 +113,11 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     departure : (N,) array, optional
         As of planes.past.departure.
     lone : Extraction, optional
-        Vectors of the pair that no neighbour supports: they tell of the ground below a region.
+        Vectors that no neighbour supports: they tell of the ground below a region.
     nearer : float
-        The ground may be this many times nearer. If so it is a guess: what looks farther moves,
-        but nothing hovers over it or has its depth from it.
+        The ground may be this many times nearer, a guess: nothing hovers over it.
+    camera_height : float
+        Above the ground [m].
 
     Returns
     -------
@@ -123,24 +126,23 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     memory : Memory
         For the next pair.
     """
-    departure = np.zeros(len(extraction.x_cur)) if departure is None else departure
-    level = level if ground is None else ground
-    motion_field = _motion_field(extraction, ground, level, departure, lone, nearer)
+    motion_field = _motion_field(
+        extraction, ground, level if ground is None else ground,
+        np.zeros(len(extraction.x_cur)) if departure is None else departure, lone, nearer)
     members = sunken.with_bodies(_alike(motion_field), motion_field,
                                  (extraction.width, extraction.height), LEAST, REACH)
     found = _fitted(extraction, motion_field, members)
     score, left, before = memory.inherited(extraction)
-    now, leaves = _scored(extraction, motion_field, found)
+    now, leaves = _scored(extraction, motion_field, found, camera_height)
     total = now + FADING * better_half(members, score)
     gone = np.maximum(leaves + FADING * better_half(members, left), 0.0)
     known = majority(members, before)
     known = np.where(known >= 0, known, _covered(members, extraction))
     moves = _moves(members, motion_field, np.maximum(total, gone), known, threshold)
-    ids, next_id = _named(members, moves, known, memory.next_id)
+    ids, next_id = named(members, moves, known, memory.next_id)
     # What is in no region this time is not forgotten at once.
     score = FADING * np.nan_to_num(score) * ~motion_field.ground_like
-    left = FADING * np.nan_to_num(left)
-    before = np.full(len(before), -1)
+    left, before = FADING * np.nan_to_num(left), np.full(len(before), -1)
     for member, *values in zip(members, total, gone, ids, strict=True):
         score[member], left[member], before[member] = values
     moving = sorted(np.flatnonzero(ids >= 0), key=lambda i: -len(members[i]))
@@ -262,7 +264,7 @@ def _fitted(extraction, motion_field, members):
         regions, extraction.K, extraction.motion.R_cur_from_prev, motion_field.ground))
 
 
-def _scored(extraction, motion_field, found):
+def _scored(extraction, motion_field, found, camera_height):
     """Return the scores (R,), (R,) of each region in this pair; 0 where no plane fits.
 
     That it moves, and that it has left where it stood.
@@ -276,7 +278,7 @@ def _scored(extraction, motion_field, found):
     outline = outlines(Blocks(motion_field.x[at], motion_field.block[at],
                               vector, vector + motion_field.parallax[at], motion_field.rho[at],
                               found.regions.first), extraction.K, motion_field.ground,
-                       motion_field.level)
+                       motion_field.level, camera_height)
     score = scores(fit, outline, extraction.K, extraction.motion.t_cur_from_prev,
                    motion_field.seen, motion_field.seen_or_lone, motion_field.nearer)
     leaves = departures(outline, _departed(motion_field, found), motion_field.seen)
@@ -339,16 +341,6 @@ def _moves(members, motion_field, score, before, threshold):
         for i in np.flatnonzero(suspect & ~moves):
             moves[i] = np.min(tree.query(x[members[i]])[0]) < REACH
     return moves
-
-
-def _named(members, moves, before, next_id):
-    """Return the ids (R,) of regions that move: of the region they come from, or a new one."""
-    ids, taken = np.full(len(members), -1), set()
-    for i in sorted(np.flatnonzero(moves), key=lambda i: -len(members[i])):
-        ids[i] = before[i] if before[i] >= 0 and before[i] not in taken else next_id
-        next_id += int(ids[i] == next_id)
-        taken.add(ids[i])
-    return ids, next_id
 
 
 def _grown(extraction, motion_field, moving):

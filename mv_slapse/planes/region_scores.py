@@ -25,9 +25,9 @@ EDGE_SIGMA = lattice.MACROBLOCK / np.sqrt(12)  # px of the lower edge, seen to a
 FOOT_HEIGHT = 40.0  # px above the lower edge that show how near it is
 GROUND_SIGMA = 0.07  # share of the ground's inverse depth: slope, kerbs
 BANK_SIGMA = 0.04  # rad by which land slopes beside the road, against the road's plane
-LOWEST, TALLEST = 0.5, 2.0  # heights of a camera, of what may be a vehicle or a person
-WIDEST = 5.0  # of the same
-LOWEST_PART = 0.3  # the same of a part that comes towards the camera
+LOWEST = 0.5  # height of what may be a vehicle or a person, as a share of the camera's
+TALLEST, WIDEST = 3.3, 8.25  # [m] of the same
+LOWEST_PART = 0.3  # the share of a part that comes towards the camera
 LEAST_FILLED = 0.4  # share of its box that a vehicle's blocks cover
 RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane,
 WIDE = 250.0  # px, if it is as wide as this
@@ -123,6 +123,8 @@ class Outlines(NamedTuple):
         Vectors that differ.
     turned : (R, 2) float64
         Mean shift by the camera's rotation [px].
+    limit : (2,) float64
+        Width and height of the largest vehicles, as shares of the camera's height.
     """
 
     low: np.ndarray
@@ -134,6 +136,7 @@ class Outlines(NamedTuple):
     rho: np.ndarray
     kinds: np.ndarray
     turned: np.ndarray
+    limit: np.ndarray
 
     @property
     def size(self) -> np.ndarray:
@@ -152,7 +155,7 @@ def _below_horizon(x: np.ndarray, K: np.ndarray, level: np.ndarray | None) -> np
 
 
 def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
-             level: np.ndarray | None) -> Outlines:
+             level: np.ndarray | None, camera_height: float) -> Outlines:
     """Return the Outlines of regions.
 
     Parameters
@@ -163,6 +166,8 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
         Ground plane n / d in camera k [1/baseline].
     level : (3,) array or None
         The same at any length, where only the horizon is known.
+    camera_height : float
+        Above the ground [m].
     """
     x, block, first = blocks.x, blocks.block, blocks.first
     size = np.diff(first, append=len(x))
@@ -182,7 +187,8 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
     across, down = np.round(blocks.vector / REPEATED).astype(np.int64).T % 65536
     kinds = np.unique((np.repeat(np.arange(len(first)), size) << 32) + (across << 16) + down)
     turned = np.add.reduceat(blocks.turned, first) / size[:, None]
-    return Outlines(low, high, foot, drop, under, filled, rho, np.bincount(kinds >> 32), turned)
+    return Outlines(low, high, foot, drop, under, filled, rho, np.bincount(kinds >> 32), turned,
+                    np.array([WIDEST, TALLEST]) / camera_height)
 
 
 def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen: Seen,
@@ -267,7 +273,7 @@ def departures(outline: Outlines, likelihood: np.ndarray, seen: Seen) -> np.ndar
 def _may_be_vehicle(outline):
     """Return which regions (R,) are no larger than a vehicle."""
     drop = np.maximum(outline.drop, 1.0)
-    return np.all(outline.size <= np.outer(drop, (WIDEST, TALLEST)), axis=1)
+    return np.all(outline.size <= np.outer(drop, outline.limit), axis=1)
 
 
 def _credible(outline, at, seen):
@@ -307,7 +313,7 @@ def _body_end(drop):
 def _may_hover(outline):
     """Return which regions (R,) are as high as a vehicle's part or a person may be."""
     height = outline.size[:, 1] / np.maximum(outline.drop, 1.0)
-    return (height >= LOWEST_PART) & (height <= TALLEST)
+    return (height >= LOWEST_PART) & (height <= outline.limit[1])
 
 
 def _at_foot(fit, outline, K, apparent, sigma):
@@ -355,7 +361,7 @@ def _body_above(outline, i, seen):
         return 0.0
     across = np.abs(seen.x[:, 0] - outline.foot[i, 0]) < 0.5 * outline.size[i, 0]
     above = seen.x[:, 1] < outline.low[i, 1] - lattice.MACROBLOCK / 2
-    highest = outline.foot[i, 1] - TALLEST * outline.drop[i]
+    highest = outline.foot[i, 1] - outline.limit[1] * outline.drop[i]
     at = np.flatnonzero(across & above & (seen.x[:, 1] > highest) & (seen.under > 0))
     under, near = seen.under[at], outline.rho[i]
     sigma = np.hypot(seen.sigma[at], GROUND_SIGMA * np.maximum(under, near))

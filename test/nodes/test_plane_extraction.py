@@ -6,6 +6,7 @@ pytest.importorskip('mv_slapse_msgs')
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.config import ExtractionSettings  # noqa: E402
 from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
+from mv_slapse.nodes import plane_extraction  # noqa: E402
 from mv_slapse.nodes.conversions import to_message  # noqa: E402
 from mv_slapse.nodes.plane_extraction import PlaneExtractionNode  # noqa: E402
 from mv_slapse.planes.extractor import PlaneExtractor  # noqa: E402
@@ -52,6 +53,17 @@ def test_pairs_give_the_planes_of_the_extractor(bench, pairs):
     assert any(msg.planes for msg in received)
     assert received[0].header.frame_id == 'cam'
     assert node.health.status().level == b'\x00'
+
+
+def test_the_height_of_the_camera_reaches_the_extractor(bench, monkeypatch):
+    heights = []
+    monkeypatch.setattr(plane_extraction, 'PlaneExtractor',
+                        lambda camera, settings, height: heights.append(height))
+    node = bench.start(PlaneExtractionNode, scene__camera_height=0.4)
+    bench.peer.create_publisher(CameraInfo, 'camera_info', LATCHED).publish(drives.camera_info())
+    assert bench.spin(lambda: len(heights) == 1, 20)
+    node.restart()
+    assert heights == [0.4, 0.4]
 
 
 def test_pairs_wait_for_the_camera(bench, pairs):

@@ -50,7 +50,7 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     vector = x if kinds is None else np.c_[np.arange(len(x)) % kinds, np.zeros(len(x))]
     blocks = Blocks(x, np.full(x.shape, 16.0), vector, np.tile(turned, (len(x), 1)), rho,
                     np.zeros(1, int))
-    outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]))
+    outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]), HEIGHT)
     fit = fit_surfaces(regions, K, np.eye(3), GROUND)
     own = seen_as(x, rho, np.zeros(len(x)))
     parts = [own, seen_below(outline, rho.mean(), below, ground)]
@@ -214,13 +214,16 @@ def test_where_no_vector_is_copied_a_few_kinds_tell_all():
     assert score(8.0, (0.5, 0, 0), kinds=3) == score(8.0, (0.5, 0, 0)) == STEP
 
 
-@pytest.mark.parametrize(('high', 'likelihood', 'expected'), [
-    (1.0, 12.0, 6.0), (1.0, 100.0, STEP), (1.0, -3.0, -1.5), (1.0, -100.0, BACK),
-    (4.0, 100.0, BACK)], ids=['a car', 'surely', 'stands', 'surely stands', 'a building'])
-def test_what_has_left_scores_by_its_blocks_and_is_no_building(high, likelihood, expected):
+@pytest.mark.parametrize(('high', 'likelihood', 'expected', 'camera_height'), [
+    (1.0, 12.0, 6.0, HEIGHT), (1.0, 100.0, STEP, HEIGHT), (1.0, -3.0, -1.5, HEIGHT),
+    (1.0, -100.0, BACK, HEIGHT), (4.0, 100.0, BACK, HEIGHT), (4.0, 12.0, 6.0, HEIGHT / 2),
+    (1.0, 12.0, BACK, 6.0)], ids=['a car', 'surely', 'stands', 'surely stands', 'a building',
+                                  'a car from below', 'a building from above'])
+def test_what_has_left_scores_by_its_blocks_and_is_no_building(high, likelihood, expected,
+                                                               camera_height):
     x = GRID[np.all(np.abs(to_rays(K, GRID)[:, :2] * 12 - (0, HEIGHT - high)) < (1, high), axis=1)]
     blocks = Blocks(x, np.full(x.shape, 16.0), x, np.zeros(x.shape), np.full(len(x), 1 / 12),
                     np.zeros(1, int))
-    outline = outlines(blocks, K, GROUND, np.array([0.0, -1.0, 0.0]))
+    outline = outlines(blocks, K, GROUND, np.array([0.0, -1.0, 0.0]), camera_height)
     seen = seen_as(x, blocks.rho, np.zeros(len(x)))._replace(sigma=0.1 * blocks.rho)
     assert departures(outline, np.array([likelihood]), seen)[0] == pytest.approx(expected)
