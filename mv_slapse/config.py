@@ -237,9 +237,10 @@ class ObstacleSettings(Checked):
                           0.999999)
     acceleration: float = setting(
         2.0, 'm/s^2', 'of obstacles, standard deviation; without metric scale taken as [1/s] '
-        'times a tenth of the speed', 0.0)
+        'times a tenth of the speed', 0.0, 100.0)
     vector_bias: float = setting(
-        0.15, 'px', 'error that all vectors of a region share, which no averaging removes', 0.0)
+        0.15, 'px', 'error that all vectors of a region share, which no averaging removes', 0.0,
+        16.0)
     correlation_time: float = setting(
         0.4, 's', 'for which the outline of a region, and so its place and depth, is wrong alike',
         0.0)

@@ -132,7 +132,12 @@ def tiles(box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def is_cut(box: np.ndarray, view: View) -> np.ndarray:
     """Return whether the picture's edge cuts a box (4,) off across and down, (2,) bool."""
-    return (box[:2] < MACROBLOCK / 2) | (box[:2] + box[2:] > view.size - MACROBLOCK / 2)
+    return np.any(cut_sides(box, view), axis=0)
+
+
+def cut_sides(box: np.ndarray, view: View) -> np.ndarray:
+    """Return the same for its first and last side, (2, 2) bool."""
+    return np.array([box[:2] < MACROBLOCK / 2, box[:2] + box[2:] > view.size - MACROBLOCK / 2])
 
 
 def detections(extraction: Extraction, view: View, settings: ObstacleSettings) -> list[Detection]:

@@ -2,15 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+import itertools
 
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import association, footprint, management, search, tracks
+from mv_slapse.filters import obstacle_motion as om
 from mv_slapse.filters.detections import (
     Detection,
     detections,
     from_handover,
     inside,
-    is_cut,
     joined,
     tiles,
 )
@@ -31,6 +32,7 @@ import numpy as np
 OWN_IDS = 1_000_000  # ids from here on are given where a plane's id is another track's already
 STARTS_MEMORY = 5.0  # [s] over which tracks that come to nothing are counted
 SAME_DEPTH = 2.0  # times an obstacle's depth, or a share of it, that still is where it was
+NO_PLANE = -1  # of a track whose plane is another one's now
 TENTATIVE_LIFETIME = 0.25  # [s] a track that is not yet confirmed may go without evidence
 
 
@@ -71,7 +73,12 @@ class ObstacleTracker:
             Obstacles that came to a stop, for the scene filter.
         """
         if self._scene is not None and extraction.stamp <= self._scene.stamp:
-            return self._obstacles(self._scene.stamp), []
+            if not self._turned_back(extraction):
+                return self._obstacles(self._scene.stamp), []
+            self._forget()
+        self._tracks = [track for track in self._tracks
+                        if not self._expired(track, extraction.previous_stamp)]
+        self._change_unit(extraction, scene)
         view = view_of(extraction, scene, self._scene, self._view)
         gone = self._predict(extraction, scene, view)
         self._scene, self._view = scene, view
@@ -82,11 +89,38 @@ class ObstacleTracker:
             lambda group: self._may_be_one(group, extraction))]
         free = self._continue(found, owners, extraction)
         self._search(extraction)
+        free = [item for item in free if not self._is_other_face(item, owners, extraction)]
         free = self._absorb(free, extraction.stamp)
         self._begin(free, extraction)
         self._merge()
         self._take(handovers, extraction)
         return self._finish(extraction)
+
+    def _turned_back(self, extraction):
+        """Tell whether the clock was set back, as by another recording; else the pair is late."""
+        return 1e-9 * (self._scene.stamp - extraction.stamp) > self._settings.lifetime
+
+    def _forget(self):
+        """Begin anew, with ids that were not given yet."""
+        self._tracks, self._waiting, self._scene, self._view = [], {}, None, None
+
+    def _change_unit(self, extraction, scene):
+        """Take the tracks along where the map's unit of length becomes the metre.
+
+        The baseline's length in the new unit over what the last one leads to expect in the old.
+        """
+        before = self._scene
+        if (before is None or min(before.baseline, scene.baseline) <= 0
+                or before.scale_status is scene.scale_status):
+            return
+        longer = (extraction.baseline_ratio if np.isfinite(extraction.baseline_ratio_sigma)
+                  else np.log(1e-9 * (extraction.stamp - before.stamp) / self._view.dt))
+        log_unit = np.log(scene.baseline / before.baseline) - longer
+        for track in self._tracks:
+            track.state.mu[om.LOG_DEPTH] += log_unit
+        self._view = replace(
+            self._view, scene_velocity=np.exp(log_unit) * self._view.scene_velocity,
+            scene_covariance=np.exp(2 * log_unit) * self._view.scene_covariance)
 
     def _predict(self, extraction, scene, view):
         """Move the tracks on; drop and return those that leave the view."""
@@ -115,17 +149,24 @@ class ObstacleTracker:
         for i, group in parts.items():
             self._tracks[i].update(joined(group, self._view), extraction, self._view,
                                    self._settings)
-        return [item for item in free if not self._is_other_face(item, owners, extraction)]
+            self._own(self._tracks[i])
+        return free
+
+    def _own(self, owner):
+        """Let a plane be of the track that it was seen of last, and of no other one."""
+        for track in self._tracks:
+            if track is not owner and track.plane_id == owner.plane_id:
+                track.plane_id = NO_PLANE
 
     def _is_other_face(self, item, owners, extraction):
         """Tell whether a detection is what the picture's edge leaves of an obstacle; restart that.
 
-        Where the front has left the picture the side is seen, which lies and grows otherwise.
+        Where the front has left the picture the side is seen, which lies and grows otherwise, but
+        goes where the front went.
         """
         track = owners.get(item.id)
-        if (track is None or track.last_seen == extraction.stamp
-                or not all(np.any(is_cut(box, self._view))
-                           for box in (item.box, track.body(self._view)))):
+        if (track is None or not track.confirmed or track.last_seen == extraction.stamp
+                or not track.may_show(item, self._view, self._settings.gate)):
             return False
         track.restart(item, extraction, self._view)
         if track not in self._tracks:
@@ -174,6 +215,7 @@ class ObstacleTracker:
         for detection in free:
             self._tracks.append(tracks.start(detection, extraction, self._view,
                                              self._new_id(detection.id)))
+            self._own(self._tracks[-1])
 
     def _take(self, handovers, extraction):
         """Start a track for each plane that the scene filter gave up, once its blocks are seen."""
@@ -202,7 +244,8 @@ class ObstacleTracker:
                     self._is_alone(track))
             if track.confirmed and self._has_stopped(track, extraction):
                 given.append(track)
-        handed = [track.handover(extraction.stamp, self._view) for track in given]
+        handed = [track.handover(extraction.stamp, self._view) for track in given
+                  if track.plane_id != NO_PLANE]
         ended = [track for track in self._tracks if self._expired(track, extraction.stamp)]
         self._count(sum(not track.confirmed for track in ended))
         self._tracks = [track for track in self._tracks
@@ -250,9 +293,10 @@ class ObstacleTracker:
 
     def _new_id(self, plane_id):
         """Return the plane's id, or one of the tracker's own where that is taken."""
-        if plane_id not in self._used and all(plane_id != track.id for track in self._tracks):
+        taken = self._used | {track.id for track in self._tracks}
+        if plane_id not in taken:
             return plane_id
-        self._next_id += 1
+        self._next_id = next(i for i in itertools.count(self._next_id + 1) if i not in taken)
         return self._next_id
 
 

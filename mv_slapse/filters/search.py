@@ -20,7 +20,7 @@ from mv_slapse.filters.detections import (
 from mv_slapse.filters.view import View
 from mv_slapse.geometry import moving_plane
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.records import Extraction, ScalePrior
+from mv_slapse.records import Extraction, Label, MotionStatus, ScalePrior
 import numpy as np
 
 LEAST_SHARE = 0.5  # of the blocks there that must move with the obstacle
@@ -76,8 +76,13 @@ def _observed(mu, P, rate, covariance):
 
 
 def _free(extraction, box):
-    """Return the blocks (M,) int inside a box that are on no plane."""
-    return np.flatnonzero(inside(extraction.x_cur, box) & (extraction.plane_id < 0))
+    """Return the blocks (M,) int inside a box that are on no plane and may be an obstacle's.
+
+    To a camera that drives all may: what goes as fast looks stationary, and far off.
+    """
+    rests = (extraction.label == Label.STATIONARY) & (
+        extraction.motion.status is MotionStatus.STANDSTILL)
+    return np.flatnonzero(inside(extraction.x_cur, box) & (extraction.plane_id < 0) & ~rests)
 
 
 def _fill(extraction, own, box, number):

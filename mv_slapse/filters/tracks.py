@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import association, ekf
 from mv_slapse.filters import obstacle_motion as om
-from mv_slapse.filters.detections import body_box, box_of, Detection, Edge, is_cut
+from mv_slapse.filters.detections import body_box, box_of, cut_sides, Detection, Edge, is_cut
 from mv_slapse.filters.management import Evidence, within
 from mv_slapse.filters.view import View
 from mv_slapse.geometry.blocks import MACROBLOCK
@@ -155,6 +155,18 @@ class Track:
             self.evidence = within([*self.evidence, other.evidence[-1]], KEPT_EVIDENCE)
         for name in names:
             setattr(self, name, getattr(other, name))
+
+    def may_show(self, detection: Detection, view: View, gate: float) -> bool:
+        """Return whether a detection at the edge of the picture may be a face of this obstacle.
+
+        The same edge cuts both, and they have one velocity.
+        """
+        if not np.any(cut_sides(self.extent, view) & cut_sides(detection.box, view)):
+            return False
+        old, new = self.motion(view), om.motion(detection.z, detection.R, view.scene_velocity,
+                                                np.zeros((3, 3)))
+        return ekf.squared_distance(new.velocity - old.velocity, (
+            new.covariance + old.covariance)[3:, 3:]) < ekf.chi2_bound(gate, 3)
 
     def restart(self, detection: Detection, extraction: Extraction, view: View):
         """Go on with what a detection alone tells, as of another face of the same vehicle."""

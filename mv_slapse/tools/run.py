@@ -136,7 +136,8 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
     Raises
     ------
     UnusableInput
-        Where the input has no motion vectors to work with.
+        Where the input has no motion vectors to work with, or its pictures change their size; the
+        results up to there are written.
     UsageError
         Where arguments contradict one another, or the output cannot be written.
     """
@@ -150,6 +151,11 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
             except KeyboardInterrupt:
                 session.summary.interrupted = True
                 session.summary.warnings.append('interrupted; the results end there')
+            except UnusableInput as error:
+                if session.summary.key_frames:
+                    session.summary.warnings.append(f'{error}; the results end there')
+                    writer.close(session.finish())
+                raise
             writer.close(session.finish())
     return _checked(session.summary)
 
@@ -241,8 +247,7 @@ class _Session:
 
     def _take(self, pairs: list[Correspondences], writer: ResultsWriter):
         for pair in pairs:
-            if not self.summary.key_frames:
-                check_size(self._camera, pair.width, pair.height, self.summary.input)
+            check_size(self._camera, pair.width, pair.height, self.summary.input)
             step = self._slapse.step(pair, self._told(pair.stamp))
             with self._clock.stage('write'):
                 writer.write(step)

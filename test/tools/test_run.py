@@ -3,11 +3,13 @@ import json
 from mv_slapse.codec.encoder import Encoding, write_video
 from mv_slapse.config import Settings
 from mv_slapse.errors import UnusableInput, UsageError
+from mv_slapse.geometry.camera import Camera
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.storage.tum import read_trajectory
 from mv_slapse.tools import run as tool
 from mv_slapse.tools.run import CpuClock, Summary
 import numpy as np
+from pictures import sliding
 import pytest
 
 N_FRAMES = 21
@@ -70,6 +72,22 @@ def test_an_interrupted_run_keeps_what_it_has(clip, tmp_path):
     assert json.loads((tmp_path / 'summary.json').read_text())['interrupted']
     assert len(read_trajectory(tmp_path / 'trajectory.tum')) > 2
     assert (tmp_path / 'results.mcap').exists()
+
+
+def test_results_end_where_the_pictures_change_their_size(rng, tmp_path):
+    parts = []
+    for size in ((320, 240), (160, 120)):
+        parts.append(tmp_path / f'{size[0]}.mpg')
+        images = sliding(rng, 24, (3, 1), size)
+        write_video(parts[-1], images, 25, Encoding('mpeg2video', b_frames=0, gop=12))
+    whole = tmp_path / 'both.mpg'
+    whole.write_bytes(b''.join(part.read_bytes() for part in parts))
+    K = np.array([[300.0, 0, 159.5], [0, 300, 119.5], [0, 0, 1]])
+    with pytest.raises(UnusableInput, match='the pictures are 160x120 but'):
+        tool.run(whole, Camera(320, 240, K), Settings(), tmp_path / 'out')
+    summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    assert 'the results end there' in summary['warnings'][-1]
+    assert 2 < summary['key_frames'] <= 24
 
 
 def test_a_video_without_vectors_is_refused(rng, tmp_path):
