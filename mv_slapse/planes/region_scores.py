@@ -25,9 +25,8 @@ EDGE_SIGMA = lattice.MACROBLOCK / np.sqrt(12)  # px of the lower edge, seen to a
 FOOT_HEIGHT = 40.0  # px above the lower edge that show how near it is
 GROUND_SIGMA = 0.07  # share of the ground's inverse depth: slope, kerbs
 BANK_SIGMA = 0.04  # rad by which land slopes beside the road, against the road's plane
-LOWEST = 0.5  # height of what may be a vehicle or a person, as a share of the camera's
-TALLEST, WIDEST = 3.3, 8.25  # [m] of the same
-LOWEST_PART = 0.3  # the share of a part that comes towards the camera
+LOWEST, TALLEST, WIDEST = 0.825, 3.3, 8.25  # [m] of what may be a vehicle or a person
+LOWEST_PART = 0.3  # height of a part that comes towards the camera, as a share of the camera's
 LEAST_FILLED = 0.4  # share of its box that a vehicle's blocks cover
 RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane,
 WIDE = 250.0  # px, if it is as wide as this
@@ -123,8 +122,8 @@ class Outlines(NamedTuple):
         Vectors that differ.
     turned : (R, 2) float64
         Mean shift by the camera's rotation [px].
-    limit : (2,) float64
-        Width and height of the largest vehicles, as shares of the camera's height.
+    limit : (3,) float64
+        Greatest width, greatest and least height of vehicles, as shares of the camera's height.
     """
 
     low: np.ndarray
@@ -188,7 +187,7 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
     kinds = np.unique((np.repeat(np.arange(len(first)), size) << 32) + (across << 16) + down)
     turned = np.add.reduceat(blocks.turned, first) / size[:, None]
     return Outlines(low, high, foot, drop, under, filled, rho, np.bincount(kinds >> 32), turned,
-                    np.array([WIDEST, TALLEST]) / camera_height)
+                    np.array([WIDEST, TALLEST, LOWEST]) / camera_height)
 
 
 def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen: Seen,
@@ -233,7 +232,7 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen:
     at_foot = np.minimum(at_foot, outline.rho)
     # The road's own wrong vectors are short: low or scattered, they are no vehicle.
     road = np.isfinite(drop) & (distance > 0)
-    low = road & (size[:, 1] < LOWEST * drop)
+    low = road & (size[:, 1] < outline.limit[2] * drop)
     for i in np.flatnonzero(low):
         distance[i] = min(distance[i], max(_body_above(outline, i, seen), 0.0))
     scattered = road & (outline.filled < LEAST_FILLED)
@@ -273,7 +272,7 @@ def departures(outline: Outlines, likelihood: np.ndarray, seen: Seen) -> np.ndar
 def _may_be_vehicle(outline):
     """Return which regions (R,) are no larger than a vehicle."""
     drop = np.maximum(outline.drop, 1.0)
-    return np.all(outline.size <= np.outer(drop, outline.limit), axis=1)
+    return np.all(outline.size <= np.outer(drop, outline.limit[:2]), axis=1)
 
 
 def _credible(outline, at, seen):

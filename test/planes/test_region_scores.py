@@ -28,7 +28,7 @@ FIRST_ROW = 180.0
 
 def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), ground=GROUND,
           keep=1.0, t=T, below='ground', above=None, copied=0.0, kinds=None, turned=(0.0, 0.0),
-          lone=None, nearer=1.0):
+          lone=None, nearer=1.0, camera_height=HEIGHT):
     """Return the score of an upright face at a depth that moves by ``motion`` in the pair.
 
     Blocks below it show the ``ground``, the ``face``'s own depth, what is ``nearer``, ``half`` of
@@ -50,7 +50,7 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     vector = x if kinds is None else np.c_[np.arange(len(x)) % kinds, np.zeros(len(x))]
     blocks = Blocks(x, np.full(x.shape, 16.0), vector, np.tile(turned, (len(x), 1)), rho,
                     np.zeros(1, int))
-    outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]), HEIGHT)
+    outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]), camera_height)
     fit = fit_surfaces(regions, K, np.eye(3), GROUND)
     own = seen_as(x, rho, np.zeros(len(x)))
     parts = [own, seen_below(outline, rho.mean(), below, ground)]
@@ -169,6 +169,14 @@ def test_the_low_part_of_a_car_ahead_scores_where_the_car_goes_on_above_it():
     part = {'depth': 8.0, 'motion': (0, 0, 1.0), 'low': (-1.0, 1.1)}
     assert score(**part, above='face') > 9
     assert score(**part, above='ground') <= 0
+
+
+@pytest.mark.parametrize(('camera_height', 'is_car'), [(0.5, False), (HEIGHT, True)])
+def test_what_is_lower_than_any_car_is_none_unless_it_goes_on_above(camera_height, is_car):
+    face = {'depth': 8.0, 'motion': (0, 0, 1.0), 'low': (-1.0, 0.6),
+            'camera_height': camera_height}
+    assert (score(**face, above='ground') > 0) == is_car
+    assert score(**face, above='face') > 0
 
 
 def test_a_low_bank_that_the_border_cuts_is_no_car():
