@@ -65,9 +65,11 @@ def drive(seed: int, steps: int, movers: tuple[str, ...], height_known: bool):
     heave = SceneSettings().camera_height_sigma if height_known else 0.0
     noise = VectorNoise(heave=heave, heave_time=SceneSettings().camera_height_time)
     vectors = NoisyVectors(street, noise, rng)
-    extractor = PlaneExtractor(calibrated(street.camera, rng), ExtractionSettings())
+    camera = calibrated(street.camera, rng)
     height = street.settings.camera_height * (1 + rng.normal(0, height_error()))
-    scene = SceneFilter(SceneSettings(camera_height=height if height_known else 0.0))
+    height *= height_known
+    extractor = PlaneExtractor(camera, ExtractionSettings(), height)
+    scene = SceneFilter(SceneSettings(camera_height=height))
     # With free scale the first baseline is the unit.
     unit = 1.0 if height_known else np.linalg.norm(street.pose(STEP)[1])
     nees, distances = [], []

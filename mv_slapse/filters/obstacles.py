@@ -5,8 +5,7 @@ from dataclasses import replace
 import itertools
 
 from mv_slapse.config import ObstacleSettings
-from mv_slapse.filters import association, footprint, management, search, tracks
-from mv_slapse.filters import obstacle_motion as om
+from mv_slapse.filters import association, footprint, management, search, tracks, units
 from mv_slapse.filters.detections import (
     Detection,
     detections,
@@ -32,7 +31,6 @@ import numpy as np
 OWN_IDS = 1_000_000  # ids from here on are given where a plane's id is another track's already
 STARTS_MEMORY = 5.0  # [s] over which tracks that come to nothing are counted
 SAME_DEPTH = 2.0  # times an obstacle's depth, or a share of it, that still is where it was
-NO_PLANE = -1  # of a track whose plane is another one's now
 TENTATIVE_LIFETIME = 0.25  # [s] a track that is not yet confirmed may go without evidence
 
 
@@ -78,7 +76,7 @@ class ObstacleTracker:
             self._forget()
         self._tracks = [track for track in self._tracks
                         if not self._expired(track, extraction.previous_stamp)]
-        self._change_unit(extraction, scene)
+        self._change_unit(scene)
         view = view_of(extraction, scene, self._scene, self._view)
         gone = self._predict(extraction, scene, view)
         self._scene, self._view = scene, view
@@ -103,24 +101,22 @@ class ObstacleTracker:
     def _forget(self):
         """Begin anew, with ids that were not given yet."""
         self._tracks, self._waiting, self._scene, self._view = [], {}, None, None
+        self._false_starts = 0.0
 
-    def _change_unit(self, extraction, scene):
-        """Take the tracks along where the map's unit of length becomes the metre.
-
-        The baseline's length in the new unit over what the last one leads to expect in the old.
-        """
-        before = self._scene
-        if (before is None or min(before.baseline, scene.baseline) <= 0
-                or before.scale_status is scene.scale_status):
+    def _change_unit(self, scene):
+        """Take all along into the unit of a map that becomes metric; forget what cannot come."""
+        if self._scene is None or not units.has_changed(self._scene, scene):
             return
-        longer = (extraction.baseline_ratio if np.isfinite(extraction.baseline_ratio_sigma)
-                  else np.log(1e-9 * (extraction.stamp - before.stamp) / self._view.dt))
-        log_unit = np.log(scene.baseline / before.baseline) - longer
+        unit = units.last_unit(self._scene, scene)
+        if unit is None:
+            self._forget()
+            return
         for track in self._tracks:
-            track.state.mu[om.LOG_DEPTH] += log_unit
-        self._view = replace(
-            self._view, scene_velocity=np.exp(log_unit) * self._view.scene_velocity,
-            scene_covariance=np.exp(2 * log_unit) * self._view.scene_covariance)
+            track.scale(unit)
+        self._scene = units.scene_in_unit(self._scene, unit)
+        self._view = self._view.in_unit(unit)
+        self._waiting = {id_: units.handover_in_unit(item, unit)
+                         for id_, item in self._waiting.items()}
 
     def _predict(self, extraction, scene, view):
         """Move the tracks on; drop and return those that leave the view."""
@@ -156,7 +152,7 @@ class ObstacleTracker:
         """Let a plane be of the track that it was seen of last, and of no other one."""
         for track in self._tracks:
             if track is not owner and track.plane_id == owner.plane_id:
-                track.plane_id = NO_PLANE
+                track.plane_id = tracks.NO_PLANE
 
     def _is_other_face(self, item, owners, extraction):
         """Tell whether a detection is what the picture's edge leaves of an obstacle; restart that.
@@ -242,15 +238,15 @@ class ObstacleTracker:
                 track.confirmed = self._may_drive(track) and management.confirms(
                     track.evidence, self._view.is_metric, self._settings, self._false_starts,
                     self._is_alone(track))
-            if track.confirmed and self._has_stopped(track, extraction):
+            if (track.confirmed and track.plane_id != tracks.NO_PLANE
+                    and self._has_stopped(track, extraction)):
                 given.append(track)
-        handed = [track.handover(extraction.stamp, self._view) for track in given
-                  if track.plane_id != NO_PLANE]
+        handed = [track.handover(extraction.stamp, self._view) for track in given]
         ended = [track for track in self._tracks if self._expired(track, extraction.stamp)]
         self._count(sum(not track.confirmed for track in ended))
         self._tracks = [track for track in self._tracks
                         if track not in given and track not in ended]
-        self._used |= {track.id for track in self._tracks if track.confirmed}
+        self._used |= {track.id for track in self._tracks}
         return self._obstacles(extraction.stamp), handed
 
     def _count(self, failed):

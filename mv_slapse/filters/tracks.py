@@ -24,6 +24,7 @@ SAME_OUTLINE = 0.6  # overlap with the predicted box of 96 % of right detections
 LEAST_SHARED = 0.1  # of it, that counts
 SETTLED = 3  # detections that tell where the outline should be
 OUTLINE_TIMES = 2.0  # correlation times over which outlines are averaged, which err alike in one
+NO_PLANE = -1  # id of the plane of a track whose plane is another one's now
 CLEARANCE = 0.12  # of ln Z: vehicles seen from behind end 0.2 m above the road, of 1.65 m
 BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
 
@@ -37,7 +38,7 @@ class Track:
     id : int
         Lasts as long as the track.
     plane_id : int
-        Of the plane observation that continued it last.
+        Of the plane observation that continued it last; NO_PLANE: it continues another one now.
     state : ekf.State
         Blocks 'bearing', 'log_depth', 'rate', 'slope' of obstacle_motion.
     x, block : (N, 2) float64
@@ -136,6 +137,11 @@ class Track:
             self.witness(extraction, view, distance, dof, shared, detection.score,
                          detection.departed)
 
+    def scale(self, unit: float):
+        """Go on in a unit of length that makes ``unit`` of the one so far."""
+        self.state.mu[om.LOG_DEPTH] += np.log(unit)
+        self.evidence = [e._replace(speed=unit * e.speed) for e in self.evidence]
+
     def contains(self, part: 'Detection | Track', view: View, gate: float) -> bool:
         """Return whether a detection, or another track, is a part of this obstacle."""
         state = (part.z, part.R) if isinstance(part, Detection) else (part.mu, part.P)
@@ -148,7 +154,8 @@ class Track:
         State and extent are those of the two whose depth is better known: the other may be new
         and have seen a part only, the foot of which is hidden.
         """
-        names = ['plane_id', 'x', 'block', 'last_seen']
+        names = ['x', 'block', 'last_seen']
+        names += ['plane_id'] * (other.plane_id != NO_PLANE)
         if other.P[2, 2] < self.P[2, 2]:
             names += ['state', 'extent', 'edge', 'scale_prior', 'drift', 'evidence']
         else:

@@ -1,6 +1,6 @@
 """What the obstacle filters know of the camera in one key frame, in map units."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mv_slapse.config import SceneSettings, USUAL_HEIGHT
 from mv_slapse.geometry import plane as planes
@@ -80,6 +80,15 @@ class View:
     def metre(self) -> float:
         """Return what to take for 1 m [map unit], given a ground."""
         return 1.0 if self.is_metric else 1 / (USUAL_HEIGHT * np.linalg.norm(self.ground))
+
+    def in_unit(self, unit: float) -> 'View':
+        """Return it in a unit of length that makes ``unit`` of its own."""
+        return replace(
+            self, t_world_from_cam=unit * self.t_world_from_cam,
+            t_cur_from_prev=unit * self.t_cur_from_prev, unit=unit * self.unit,
+            scene_velocity=unit * self.scene_velocity,
+            scene_covariance=unit**2 * self.scene_covariance,
+            ground=None if self.ground is None else self.ground / unit)
 
     @property
     def tallest(self) -> float:

@@ -134,8 +134,8 @@ def majority(members: list[np.ndarray], ids: np.ndarray) -> np.ndarray:
     return result
 
 
-def named(members: list[np.ndarray], moves: np.ndarray, before: np.ndarray, next_id: int
-          ) -> tuple[np.ndarray, int]:
+def ids_of(members: list[np.ndarray], moves: np.ndarray, before: np.ndarray, next_id: int
+           ) -> tuple[np.ndarray, int]:
     """Return the ids (R,) of regions that move: of the region they come from, or a new one."""
     ids, taken = np.full(len(members), -1), set()
     for i in sorted(np.flatnonzero(moves), key=lambda i: -len(members[i])):

@@ -16,7 +16,7 @@ from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.homography import transfer
 from mv_slapse.planes import lattice, sunken
 from mv_slapse.planes.lone_vectors import with_lone
-from mv_slapse.planes.mover_memory import better_half, FIRST_ID, majority, Memory, named
+from mv_slapse.planes.mover_memory import better_half, FIRST_ID, ids_of, majority, Memory
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
 from mv_slapse.planes.region_scores import (
     Blocks,
@@ -49,7 +49,7 @@ RISING = (0.3, 2)  # share of a car's departed blocks off it, 0.3 to 1 as measur
 FITS = 3.0  # sigma of the epipolar error of a block whose apparent depth tells something
 FAR = 1.5  # px of parallax, less is far off,
 RESTING = 0.75  # px, or rests where the camera stands
-GROWTH = 1.0  # [1/s] by which things grow or shrink before a standing camera: contact in a second
+GROWTH = 1.0  # [1/s] to which things grow or shrink before it: contact in a second
 FADING = 0.85  # of the score from pair to pair
 KEPT = 0.5  # of the score at which a region moves: enough for what was or is beside a mover
 
@@ -61,7 +61,7 @@ class _Field:
     ``ground_like`` blocks move as the ground does and have not left where they stood, ``far`` ones
     above the horizon do not move, ``below`` ones look farther than the ground that they would
     hide; those that ``fits`` tells of move along their epipolar lines. ``growth`` is what their
-    depth makes the parallax grow by for each px outwards, known to ``free_growth``.
+    depth makes the parallax grow by for each px outwards; to ``free_growth`` it may be any.
     """
 
     x: np.ndarray
@@ -115,7 +115,7 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     lone : Extraction, optional
         Vectors that no neighbour supports: they tell of the ground below a region.
     nearer : float
-        The ground may be this many times nearer, a guess: nothing hovers over it.
+        The ground may be this many times nearer, a guess: it tells what looks farther only.
     camera_height : float
         Above the ground [m].
 
@@ -139,7 +139,7 @@ def with_moving_planes(extraction: Extraction, ground: np.ndarray | None, memory
     known = majority(members, before)
     known = np.where(known >= 0, known, _covered(members, extraction))
     moves = _moves(members, motion_field, np.maximum(total, gone), known, threshold)
-    ids, next_id = named(members, moves, known, memory.next_id)
+    ids, next_id = ids_of(members, moves, known, memory.next_id)
     # What is in no region this time is not forgotten at once.
     score = FADING * np.nan_to_num(score) * ~motion_field.ground_like
     left, before = FADING * np.nan_to_num(left), np.full(len(before), -1)
@@ -217,12 +217,9 @@ def _alike_pairs(motion_field):
     slack = np.clip(ALIKE_SHORT * np.median(np.linalg.norm(m, axis=1)), 0.5, 1.0) * ALIKE[0]
     # What comes near grows: the vectors of one surface differ the more the farther apart they are.
     by, growth = x[a] - x[b], np.minimum(motion_field.growth[a], motion_field.growth[b])
-    own = np.sum((m[a] - m[b]) * by, axis=1) / np.sum(by**2, axis=1)
-    free = motion_field.free_growth
-    growth = np.clip(own, growth - free, growth + free)
-    apart, left = (np.linalg.norm(m[a] - m[b] - share[:, None] * by, axis=1)
-                   for share in (np.zeros(len(a)), growth))
-    same = (apart < slack + ALIKE[1] * longer) | (left < slack + ALIKE[2] * longer)
+    apart, *left = (np.linalg.norm(m[a] - m[b] - share[:, None] * by, axis=1) for share in (
+        np.zeros(len(a)), growth, *_own_growth(motion_field, a, b)))
+    same = (apart < slack + ALIKE[1] * longer) | (np.min(left, axis=0) < slack + ALIKE[2] * longer)
     # A car before a facade may move as it does for a while: what is a plane stays by itself.
     same &= (plane[a] == plane[b]) & ~motion_field.far[a] & ~motion_field.far[b]
     # A car ahead may move as what is far behind it does; but that is not farther than the ground.
@@ -233,6 +230,20 @@ def _alike_pairs(motion_field):
     left = sign + np.bincount(a, sign[b], len(x)) + np.bincount(b, sign[a], len(x)) > 0
     same = left[a] == left[b]
     return a[same], b[same]
+
+
+def _own_growth(motion_field, a, b):
+    """Return the growth (P,), (P,) about either block of each pair, by its moving neighbours.
+
+    What parts from what is beside it stretches in one direction only.
+    """
+    by, m, n = motion_field.x[a] - motion_field.x[b], motion_field.parallax, len(motion_field.x)
+    moves = np.linalg.norm(m, axis=1) > RESTING
+    stretch, size = (sum(np.bincount(at, (moves[a] & moves[b]) * np.sum(values * by, axis=1), n)
+                         for at in (a, b)) for values in (m[a] - m[b], by))
+    own = stretch / np.maximum(size, 1.0)
+    own[np.abs(own) > motion_field.free_growth] = 0.0
+    return own[a], own[b]
 
 
 def _bridges(motion_field, a, b):

@@ -136,8 +136,8 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
     Raises
     ------
     UnusableInput
-        Where the input has no motion vectors to work with, or its pictures change their size; the
-        results up to there are written.
+        Where the input has no motion vectors to work with, its pictures change their size, or it
+        cannot be decoded any further; the results up to there are written.
     UsageError
         Where arguments contradict one another, or the output cannot be written.
     """
@@ -247,11 +247,21 @@ class _Session:
 
     def _take(self, pairs: list[Correspondences], writer: ResultsWriter):
         for pair in pairs:
-            check_size(self._camera, pair.width, pair.height, self.summary.input)
+            self._check_size(pair)
             step = self._slapse.step(pair, self._told(pair.stamp))
             with self._clock.stage('write'):
                 writer.write(step)
             self._count(step)
+
+    def _check_size(self, pair: Correspondences):
+        """Refuse pictures that the calibration is not of, from the first or a later one on."""
+        if not self.summary.key_frames:
+            check_size(self._camera, pair.width, pair.height, self.summary.input)
+        elif (pair.width, pair.height) != (self._camera.width, self._camera.height):
+            raise UnusableInput(
+                f'{self.summary.input}: the pictures are {pair.width}x{pair.height} from '
+                f'{pair.stamp / 1e9:.3f} s on; cut the video there, and give each part its own '
+                'calibration')
 
     def _told(self, stamp: int) -> list[Speed]:
         """Return the speeds that were told since the pair before."""

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 from drawn_movers import Drive, DT, Mover, usable
 from mv_slapse.config import ObstacleSettings
-from mv_slapse.filters import search
+from mv_slapse.filters import search, units
 from mv_slapse.filters.detections import detections
-from mv_slapse.filters.obstacles import NO_PLANE, ObstacleTracker, OWN_IDS
+from mv_slapse.filters.obstacles import ObstacleTracker, OWN_IDS
+from mv_slapse.filters.tracks import NO_PLANE
 from mv_slapse.filters.view import view_of
-from mv_slapse.records import CameraMotion, Label, MotionStatus, ScaleStatus
+from mv_slapse.records import Label, MotionStatus, PlaneHandover, ScaleStatus
 import numpy as np
 import pytest
 
@@ -58,16 +59,62 @@ def test_a_pair_that_comes_late_changes_nothing(rng):
     assert [(o.id, o.stamp) for o in late] == [(o.id, o.stamp) for o in last]
 
 
+class Planeless(Drive):
+    ground_known = False
+
+    def scene(self, before, now, rng=None):
+        return replace(super().scene(before, now, rng), planes=())
+
+
+@pytest.mark.parametrize('kind', [Drive, Planeless])
+@pytest.mark.parametrize('lost', [0.0, 0.2])
 @pytest.mark.parametrize('metres', [20.0, 2.0, 0.77])
-def test_obstacles_keep_their_place_when_the_unit_becomes_the_metre(rng, metres):
-    tracker = ObstacleTracker(SETTINGS)
-    before = follow(tracker, AHEAD, rng, 0.8, metres=metres)[-1]
-    after = follow(tracker, AHEAD, rng, 0.3, start=0.8)[0]
+def test_obstacles_keep_their_place_when_the_unit_becomes_the_metre(rng, metres, lost, kind):
+    drive, tracker = kind(AHEAD.movers), ObstacleTracker(SETTINGS)
+    before = follow(tracker, drive, rng, 0.8, metres=metres)[-1]
+    speeds = [e.speed for e in tracker._tracks[0].evidence]
+    after = follow(tracker, drive, rng, 0.3, start=0.8 + lost)[0]
     assert [o.id for o in before] == [o.id for o in after] == [1]
     ahead = [o.position[2] - 10 * time / unit for (o,), time, unit in
-             ((before, 0.8, metres), (after, 0.9, 1.0))]
+             ((before, 0.8, metres), (after, 0.9 + lost, 1.0))]
     assert ahead[1] == pytest.approx(metres * ahead[0], rel=0.1)
-    assert after[0].velocity[2] == pytest.approx(12.0, abs=2.0)
+    assert after[0].velocity[2] == pytest.approx(metres * before[0].velocity[2], rel=0.15)
+    np.testing.assert_allclose([e.speed for e in tracker._tracks[0].evidence][:len(speeds)],
+                               metres * np.array(speeds))
+
+
+def test_a_ground_out_of_sight_keeps_its_place_when_the_unit_becomes_the_metre(rng):
+    tracker = ObstacleTracker(SETTINGS)
+    follow(tracker, AHEAD, rng, 0.8, metres=2.0)
+    scene = AHEAD.scene(0.8, 0.9)
+    unseen = replace(scene.planes[0], last_stamp=0)
+    tracker.step(AHEAD.extraction(0.8, 0.9, rng), replace(scene, planes=(unseen,)))
+    assert np.linalg.norm(tracker._view.ground) == pytest.approx(1 / 1.65, rel=1e-3)
+
+
+@pytest.mark.parametrize('metres', [2.0, 0.5])
+def test_where_nothing_tells_the_new_unit_or_the_map_is_another_one_all_is_forgotten(rng, metres):
+    tracker, stands = ObstacleTracker(SETTINGS), Planeless(AHEAD.movers, speed=0.0)
+    assert usable_ids(follow(tracker, stands, rng, 0.8, metres=metres)) == [1]
+    assert not follow(tracker, stands, rng, DT, start=0.8)[0]
+    follow(tracker, AHEAD, rng, 0.8, start=1.0)
+    assert not follow(tracker, AHEAD, rng, DT, start=1.8, metres=metres)[0]
+    assert 1 not in [o.id for o in follow(tracker, AHEAD, rng, 0.5, start=1.9)[-1]]
+
+
+def usable_ids(result):
+    return [o.id for o in result[-1]]
+
+
+def test_a_hand_over_comes_into_the_new_unit():
+    S = np.diag([0.5] * 3 + [2.0] * 3)
+    covariance = np.arange(36.0).reshape(6, 6)
+    item = PlaneHandover(1, 1, Label.MOVING, np.array([0.0, 0, 0.1]), np.array([0, 0, 3.0]),
+                         covariance)
+    there = units.handover_in_unit(item, 2.0)
+    np.testing.assert_allclose(there.plane, [0, 0, 0.05])
+    np.testing.assert_allclose(there.velocity, [0, 0, 6.0])
+    np.testing.assert_allclose(there.covariance, S @ covariance @ S)
 
 
 @pytest.mark.parametrize(('place', 'velocity', 'yaw'), [
@@ -111,6 +158,5 @@ def test_to_a_standing_camera_what_rests_is_no_obstacle_that_was_lost(rng, statu
     rests = replace(extraction, planes=(), label=np.full(n, Label.STATIONARY, np.int8),
                     plane_id=np.full(n, -1),
                     motion=replace(extraction.motion, status=status))
-    assert isinstance(rests.motion, CameraMotion)
     found = search.found(item.z, item.R, item.box, rests, view, SETTINGS)
     assert (found is not None) == is_found

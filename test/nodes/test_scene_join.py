@@ -2,8 +2,9 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import made_up
+from mv_slapse.filters import units
 from mv_slapse.nodes.scene_join import continues, SceneJoin, SceneMemory
-from mv_slapse.records import TrackingStatus
+from mv_slapse.records import ScaleStatus, TrackingStatus
 import numpy as np
 import pytest
 
@@ -133,3 +134,18 @@ def test_a_pose_continues_the_one_before_as_far_as_speed_and_covariance_allow():
     assert continues(replace(before, **sure), replace(near, **sure))
     assert not continues(replace(before, **sure), replace(origin, **sure))
     assert continues(before, replace(origin, pose_covariance=100 * np.eye(6)))
+
+
+@pytest.mark.parametrize('unit', [0.5, 2.0, 20.0])
+def test_a_baseline_is_known_and_continues_where_the_unit_becomes_the_metre(unit):
+    memory = SceneMemory()
+    before = remember(memory, 50.0, 100_000_000)
+    assert before.scale_status is ScaleStatus.METRIC
+    before = replace(units.scene_in_unit(before, 1 / unit), planes=(),
+                     scale_status=ScaleStatus.UNKNOWN)
+    memory.last = before
+    scene = remember(memory, 51.0, 200_000_000)
+    assert scene.baseline == pytest.approx(1.0)
+    sure = {'pose_covariance': 1e-4 * np.eye(6)}
+    assert continues(replace(before, **sure), replace(scene, **sure))
+    assert not continues(scene, before)
