@@ -16,19 +16,30 @@ def has_changed(before: SceneEstimate, now: SceneEstimate) -> bool:
 def last_unit(before: SceneEstimate, now: SceneEstimate) -> float | None:
     """Return how long the unit of the scene before is in the one of the scene now.
 
-    By the planes that both maps hold or, without any, the speed, which hardly changes from one
-    key frame to the next. None where neither tells, and where a map that was metric is no more:
-    that is another one.
+    By the ground's depth, that of other planes that both maps hold or, without any, the speed,
+    which hardly changes from one key frame to the next. Before a camera that has only stood no map
+    has a unit. None where nothing tells, and where a map that was metric is no more: that is
+    another one.
     """
     if not has_changed(before, now):
         return 1.0
     if now.scale_status is not ScaleStatus.METRIC:
         return None
-    old = {plane.id: plane.depth for plane in before.planes}
-    planes = [(abs(p.depth), abs(old[p.id])) for p in now.planes if p.id in old]
-    speeds = [np.linalg.norm(scene.velocity_world) for scene in (now, before)]
-    new, was = np.sum(planes, axis=0) if planes else speeds
+    old = {plane.id: _depth(plane, before) for plane in before.planes}
+    shared = [plane for plane in now.planes if plane.id in old]
+    shared = [plane for plane in shared if plane.is_ground] or shared
+    if shared:
+        new, was = np.sum([(_depth(plane, now), old[plane.id]) for plane in shared], axis=0)
+    else:
+        new, was = (np.linalg.norm(scene.velocity_world) for scene in (now, before))
+        if was <= LEAST and not before.planes:
+            return 1.0
     return float(new / was) if min(new, was) > LEAST else None
+
+
+def _depth(plane, scene):
+    """Return how far a plane is from the camera; from {W} its tilt would weigh more and more."""
+    return abs(plane.depth + plane.normal @ scene.t_world_from_cam)
 
 
 def scene_in_unit(scene: SceneEstimate, unit: float) -> SceneEstimate:

@@ -93,17 +93,28 @@ def test_a_ground_out_of_sight_keeps_its_place_when_the_unit_becomes_the_metre(r
 
 
 @pytest.mark.parametrize('metres', [2.0, 0.5])
-def test_where_nothing_tells_the_new_unit_or_the_map_is_another_one_all_is_forgotten(rng, metres):
+def test_where_the_map_is_another_one_all_is_forgotten(rng, metres):
+    tracker = ObstacleTracker(SETTINGS)
+    assert [o.id for o in follow(tracker, AHEAD, rng, 0.8)[-1]] == [1]
+    assert not follow(tracker, AHEAD, rng, DT, start=0.8, metres=metres)[0]
+    assert 1 not in [o.id for o in follow(tracker, AHEAD, rng, 0.5, start=0.9)[-1]]
+
+
+def test_before_a_camera_that_has_only_stood_there_is_no_unit_to_change(rng):
     tracker, stands = ObstacleTracker(SETTINGS), Planeless(AHEAD.movers, speed=0.0)
-    assert usable_ids(follow(tracker, stands, rng, 0.8, metres=metres)) == [1]
-    assert not follow(tracker, stands, rng, DT, start=0.8)[0]
-    follow(tracker, AHEAD, rng, 0.8, start=1.0)
-    assert not follow(tracker, AHEAD, rng, DT, start=1.8, metres=metres)[0]
-    assert 1 not in [o.id for o in follow(tracker, AHEAD, rng, 0.5, start=1.9)[-1]]
+    before = follow(tracker, stands, rng, 0.8, metres=1.001)[-1]
+    after = follow(tracker, stands, rng, DT, start=0.8)[-1]
+    assert [o.id for o in before] == [o.id for o in after] == [1]
 
 
-def usable_ids(result):
-    return [o.id for o in result[-1]]
+def test_far_from_the_origin_a_tilt_of_the_ground_is_no_other_unit():
+    far = AHEAD.scene(49.9, 50.0)
+    ground = far.planes[0]
+    turned = np.array([0.0, -np.cos(1e-3), -np.sin(1e-3)])
+    tilted = replace(ground, normal=turned,
+                     depth=ground.depth - (turned - ground.normal) @ far.t_world_from_cam)
+    before = replace(far, scale_status=ScaleStatus.UNKNOWN)
+    assert units.last_unit(before, replace(far, planes=(tilted,))) == pytest.approx(1, abs=1e-4)
 
 
 def test_a_hand_over_comes_into_the_new_unit():
