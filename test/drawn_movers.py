@@ -1,6 +1,6 @@
 """Drawn traffic with known answers: a camera on a road, flat faces that drive, blocks on them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mv_slapse.geometry.moving_plane import COVERED
 from mv_slapse.planes.moving import fit_moving_plane
@@ -144,6 +144,15 @@ class Drive:
             merged[0].astype(np.float32), merged[1].astype(np.float32),
             merged[2].astype(np.float32), merged[3].astype(np.uint8),
             np.full(len(merged[0]), self.label, np.int8), merged[4].astype(np.int32))
+
+
+class Groundless(Drive):
+    """A drive whose map holds no ground plane."""
+
+    ground_known = False
+
+    def scene(self, before, now, rng=None):
+        return replace(super().scene(before, now, rng), planes=())
 
 
 def nanoseconds(time):

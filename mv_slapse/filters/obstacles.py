@@ -289,10 +289,11 @@ class ObstacleTracker:
 
     def _new_id(self, plane_id):
         """Return the plane's id, or one of the tracker's own where that is taken."""
-        taken = self._used | {track.id for track in self._tracks}
-        if plane_id not in taken:
+        new = {track.id for track in self._tracks}
+        if plane_id not in self._used and plane_id not in new:
             return plane_id
-        self._next_id = next(i for i in itertools.count(self._next_id + 1) if i not in taken)
+        self._next_id = next(i for i in itertools.count(self._next_id + 1)
+                             if i not in self._used and i not in new)
         return self._next_id
 
 

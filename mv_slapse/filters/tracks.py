@@ -24,6 +24,7 @@ SAME_OUTLINE = 0.6  # overlap with the predicted box of 96 % of right detections
 LEAST_SHARED = 0.1  # of it, that counts
 SETTLED = 3  # detections that tell where the outline should be
 OUTLINE_TIMES = 2.0  # correlation times over which outlines are averaged, which err alike in one
+BODY = ('state', 'extent', 'edge', 'scale_prior', 'drift')  # what a track knows of a vehicle
 NO_PLANE = -1  # id of the plane of a track whose plane is another one's now
 CLEARANCE = 0.12  # of ln Z: vehicles seen from behind end 0.2 m above the road, of 1.65 m
 BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
@@ -157,11 +158,10 @@ class Track:
         names = ['x', 'block', 'last_seen']
         names += ['plane_id'] * (other.plane_id != NO_PLANE)
         if other.P[2, 2] < self.P[2, 2]:
-            names += ['state', 'extent', 'edge', 'scale_prior', 'drift', 'evidence']
+            names += [*BODY, 'evidence']
         else:
             self.evidence = within([*self.evidence, other.evidence[-1]], KEPT_EVIDENCE)
-        for name in names:
-            setattr(self, name, getattr(other, name))
+        self._take(other, names)
 
     def may_show(self, detection: Detection, view: View, gate: float) -> bool:
         """Return whether a detection at the edge of the picture may be a face of this obstacle.
@@ -178,10 +178,13 @@ class Track:
     def restart(self, detection: Detection, extraction: Extraction, view: View):
         """Go on with what a detection alone tells, as of another face of the same vehicle."""
         new = start(detection, extraction, view, self.id)
-        for name in ('plane_id', 'state', 'x', 'block', 'extent', 'edge', 'scale_prior',
-                     'last_seen', 'drift'):
-            setattr(self, name, getattr(new, name))
+        self._take(new, ('x', 'block', 'last_seen', 'plane_id', *BODY))
         self.evidence = within([*self.evidence, *new.evidence], KEPT_EVIDENCE)
+
+    def _take(self, other, names):
+        """Take what another track has under some names."""
+        for name in names:
+            setattr(self, name, getattr(other, name))
 
     def _follow(self, stamp, view, settings):
         """Draw the extent towards that of the newest blocks.

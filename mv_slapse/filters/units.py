@@ -42,6 +42,12 @@ def _depth(plane, scene):
     return abs(plane.depth + plane.normal @ scene.t_world_from_cam)
 
 
+def in_unit_of(before: SceneEstimate, now: SceneEstimate) -> SceneEstimate | None:
+    """Return the scene before in the unit of the one now; None where that is not known."""
+    unit = last_unit(before, now)
+    return None if unit is None else scene_in_unit(before, unit)
+
+
 def scene_in_unit(scene: SceneEstimate, unit: float) -> SceneEstimate:
     """Return pose, velocity and baseline of a scene in a unit that makes ``unit`` of its own."""
     return replace(scene, t_world_from_cam=unit * scene.t_world_from_cam,

@@ -105,9 +105,8 @@ class SceneMemory:
 
     def _baseline(self, scene: SceneEstimate, previous_stamp: int) -> float:
         """Return the distance to the pose before, by the velocity where that is not known."""
-        unit = None if self.last is None else units.last_unit(self.last, scene)
-        if unit is not None and self.last.stamp == previous_stamp:
-            last = units.scene_in_unit(self.last, unit)
+        last = self.last and units.in_unit_of(self.last, scene)
+        if last is not None and last.stamp == previous_stamp:
             return float(np.linalg.norm(scene.t_world_from_cam - last.t_world_from_cam))
         dt = (scene.stamp - previous_stamp) / 1e9
         return float(np.linalg.norm(scene.velocity_world) * dt)
@@ -117,10 +116,9 @@ def continues(before: SceneEstimate | None, scene: SceneEstimate) -> bool:
     """Return whether a pose follows from the one before; it does not where slam began anew."""
     if before is None:
         return True
-    unit = units.last_unit(before, scene)
-    if unit is None:
+    before = units.in_unit_of(before, scene)
+    if before is None:
         return False
-    before = units.scene_in_unit(before, unit)
     dt = (scene.stamp - before.stamp) / 1e9
     speed = np.linalg.norm(before.velocity_world) + np.linalg.norm(scene.velocity_world)
     variance = sum(np.trace(s.pose_covariance[:3, :3]) for s in (before, scene))

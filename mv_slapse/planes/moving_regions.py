@@ -217,8 +217,9 @@ def _alike_pairs(motion_field):
     slack = np.clip(ALIKE_SHORT * np.median(np.linalg.norm(m, axis=1)), 0.5, 1.0) * ALIKE[0]
     # What comes near grows: the vectors of one surface differ the more the farther apart they are.
     by, growth = x[a] - x[b], np.minimum(motion_field.growth[a], motion_field.growth[b])
-    apart, *left = (np.linalg.norm(m[a] - m[b] - share[:, None] * by, axis=1) for share in (
-        np.zeros(len(a)), growth, *_own_growth(motion_field, a, b)))
+    own = _own_growth(motion_field, a, b) if motion_field.free_growth else ()
+    apart, *left = (np.linalg.norm(m[a] - m[b] - share[:, None] * by, axis=1)
+                    for share in (np.zeros(len(a)), growth, *own))
     same = (apart < slack + ALIKE[1] * longer) | (np.min(left, axis=0) < slack + ALIKE[2] * longer)
     # A car before a facade may move as it does for a while: what is a plane stays by itself.
     same &= (plane[a] == plane[b]) & ~motion_field.far[a] & ~motion_field.far[b]
@@ -242,8 +243,7 @@ def _own_growth(motion_field, a, b):
     stretch, size = (sum(np.bincount(at, (moves[a] & moves[b]) * np.sum(values * by, axis=1), n)
                          for at in (a, b)) for values in (m[a] - m[b], by))
     own = stretch / np.maximum(size, 1.0)
-    own[np.abs(own) > motion_field.free_growth] = 0.0
-    return own[a], own[b]
+    return tuple((own * (np.abs(own) <= motion_field.free_growth))[at] for at in (a, b))
 
 
 def _bridges(motion_field, a, b):

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from drawn_movers import Drive, DT, Mover, usable
+from drawn_movers import Drive, DT, Groundless, Mover, usable
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import search, units
 from mv_slapse.filters.detections import detections
@@ -59,14 +59,7 @@ def test_a_pair_that_comes_late_changes_nothing(rng):
     assert [(o.id, o.stamp) for o in late] == [(o.id, o.stamp) for o in last]
 
 
-class Planeless(Drive):
-    ground_known = False
-
-    def scene(self, before, now, rng=None):
-        return replace(super().scene(before, now, rng), planes=())
-
-
-@pytest.mark.parametrize('kind', [Drive, Planeless])
+@pytest.mark.parametrize('kind', [Drive, Groundless])
 @pytest.mark.parametrize('lost', [0.0, 0.2])
 @pytest.mark.parametrize('metres', [20.0, 2.0, 0.77])
 def test_obstacles_keep_their_place_when_the_unit_becomes_the_metre(rng, metres, lost, kind):
@@ -101,7 +94,7 @@ def test_where_the_map_is_another_one_all_is_forgotten(rng, metres):
 
 
 def test_before_a_camera_that_has_only_stood_there_is_no_unit_to_change(rng):
-    tracker, stands = ObstacleTracker(SETTINGS), Planeless(AHEAD.movers, speed=0.0)
+    tracker, stands = ObstacleTracker(SETTINGS), Groundless(AHEAD.movers, speed=0.0)
     before = follow(tracker, stands, rng, 0.8, metres=1.001)[-1]
     after = follow(tracker, stands, rng, DT, start=0.8)[-1]
     assert [o.id for o in before] == [o.id for o in after] == [1]

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from drawn_movers import Drive, DT, GRID, Mover, nanoseconds, usable
+from drawn_movers import Drive, DT, GRID, Groundless, Mover, nanoseconds, usable
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import obstacles as obstacles_module
 from mv_slapse.filters.obstacles import ObstacleTracker
@@ -334,13 +334,6 @@ class FreeScale(Drive):
 def replace_ground(drive):
     """Return the drive without any ground plane."""
     return Groundless(drive.movers, drive.speed, drive.omega, drive.sigma, drive.scale_sigma)
-
-
-class Groundless(Drive):
-    ground_known = False
-
-    def scene(self, before, now, rng=None):
-        return replace(super().scene(before, now, rng), planes=())
 
 
 def test_broken_pairs_and_repeated_stamps_do_no_harm(rng):

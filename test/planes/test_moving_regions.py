@@ -255,17 +255,6 @@ def test_a_car_that_comes_near_is_one_region_though_its_vectors_differ():
     assert len(np.unique(found.plane_id[own])) == 1
 
 
-@pytest.mark.parametrize('growth', [-0.1, 0.1])
-def test_before_a_standing_camera_a_car_near_by_is_one_region(growth):
-    pair, car, _, _ = behind_a_car_of_the_same_speed(10**9)
-    off = growth * (pair.x_cur - np.float32([320, 235])) * car[:, None]
-    pair = replace(pair, previous_stamp=8 * 10**8, x_prev=pair.x_cur - off,
-                   motion=CameraMotion(MotionStatus.STANDSTILL, np.eye(3), np.zeros(3)))
-    found, _ = with_moving_planes(pair, None, Memory(), THRESHOLD / 2)
-    assert np.mean(found.label[car] == Label.MOVING) == 1.0
-    assert [plane.n_macroblocks for plane in found.planes] == [car.sum()]
-
-
 def test_lone_vectors_on_the_road_tell_that_what_seems_near_comes_near():
     pair, car, trees, ground = behind_a_car_of_the_same_speed(1)
     road, x = ~car & ~trees, pair.x_cur.astype(float)
@@ -380,18 +369,3 @@ def test_a_plane_that_begins_to_move_keeps_its_id(rng):
         found, memory = with_moving_planes(extraction, plane, memory, THRESHOLD)
     assert 7 in [item.id for item in found.planes]
     assert np.mean(found.plane_id[car] == 7) > 0.5
-
-
-def test_a_standing_camera_sees_traffic(rng):
-    street = Street(StreetSettings(seed=1, movers=('oncoming',), n_frames=200,
-                                   standstill=(0.0, 20.0)))
-    extractor, hits, wrong = PlaneExtractor(street.camera, ExtractionSettings()), [], []
-    for j in range(148, 196, 4):
-        drawn = draw(street, j - 4, j, rng, 0.05, 0.0)
-        found = extractor.extract(drawn.correspondences)
-        assert found.motion.status is MotionStatus.STANDSTILL
-        on_it = drawn.label == Label.MOVING
-        hits.append(np.mean(found.label[on_it] == Label.MOVING) >= 0.5)
-        wrong.append(np.mean(found.label[~on_it] == Label.MOVING))
-    assert np.mean(hits[3:]) > 0.7
-    assert max(wrong) < 0.01
