@@ -18,15 +18,8 @@ from mv_slapse.planes import lattice, sunken
 from mv_slapse.planes.lone_vectors import with_lone
 from mv_slapse.planes.mover_memory import better_half, FIRST_ID, ids_of, majority, Memory
 from mv_slapse.planes.moving import fit_surfaces, MovingPlane, Regions, settled, Surfaces
-from mv_slapse.planes.region_scores import (
-    Blocks,
-    departures,
-    OUTLIER,
-    outlines,
-    REPEATED,
-    scores,
-    Seen,
-)
+from mv_slapse.planes.region_outlines import Blocks, outlines, REPEATED
+from mv_slapse.planes.region_scores import departures, OUTLIER, scores, Seen
 from mv_slapse.records import Extraction, Label, MotionStatus, PlaneObservation
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -286,10 +279,11 @@ def _scored(extraction, motion_field, found, camera_height):
     fit = found.fit._replace(variance=np.where(fits, found.fit.variance, 1.0))
     at = found.at
     vector = extraction.x_prev[at] - motion_field.x[at]
-    outline = outlines(Blocks(motion_field.x[at], motion_field.block[at],
-                              vector, vector + motion_field.parallax[at], motion_field.rho[at],
-                              found.regions.first), extraction.K, motion_field.ground,
-                       motion_field.level, camera_height)
+    blocks = Blocks(motion_field.x[at], motion_field.block[at], vector,
+                    vector + motion_field.parallax[at], motion_field.rho[at],
+                    motion_field.seen.sigma[at], found.regions.first)
+    outline = outlines(blocks, extraction.K, motion_field.ground, motion_field.level,
+                       camera_height)
     score = scores(fit, outline, extraction.K, extraction.motion.t_cur_from_prev,
                    motion_field.seen, motion_field.seen_or_lone, motion_field.nearer)
     leaves = departures(outline, _departed(motion_field, found), motion_field.seen)

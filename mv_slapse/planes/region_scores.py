@@ -13,19 +13,18 @@ The answers are squared distances less what noise gives.
 from typing import NamedTuple
 
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.geometry.moving_plane import COVERED, RATE, SLOPE
+from mv_slapse.geometry.moving_plane import RATE, SLOPE
 from mv_slapse.planes import lattice
 from mv_slapse.planes.moving import Surfaces
+from mv_slapse.planes.region_outlines import Outlines
 import numpy as np
 
 BIAS = 0.35  # px that a region's vectors have in common
 LEAST_DROP = 8.0  # px below the horizon from which on a lower edge tells something
 FOOT_SIGMA = 6.0  # px of the lower edge, seen to a block, and of the horizon
 EDGE_SIGMA = lattice.MACROBLOCK / np.sqrt(12)  # px of the lower edge, seen to a block, alone
-FOOT_HEIGHT = 40.0  # px above the lower edge that show how near it is
 GROUND_SIGMA = 0.07  # share of the ground's inverse depth: slope, kerbs
 BANK_SIGMA = 0.04  # rad by which land slopes beside the road, against the road's plane
-LOWEST, TALLEST, WIDEST = 0.825, 3.3, 8.25  # [m] of what may be a vehicle or a person
 LOWEST_PART = 0.3  # height of a part that comes towards the camera, as a share of the camera's
 LEAST_FILLED = 0.4  # share of its box that a vehicle's blocks cover
 RELIEF = 0.04  # share of a region's rate by which it errs where the region is no plane,
@@ -39,8 +38,8 @@ LEAST_REACH = 28.0  # px below a region in which the ground is looked for
 HALF_COVERED = 5.0  # px over which blocks below a body cease to show it: 4 of 10 at 4, 1 at 16
 SHOWN = 0.15  # share of this place that shows ground that is surely there: fast roads do 0.18
 UNSEEN = 8.0  # largest score of what looks below the ground, where that is not seen
+NO_LAND = 13.0  # largest score of what looks so, enough for STEP, less what tells of land
 DEPENDENCE = 2.0  # blocks below or above a region that tell as much as one
-REPEATED = 0.5  # px within which a vector repeats another
 AROUND = 48.0  # px about a region in which copied vectors are counted, or half its size
 FEW = 2.0  # blocks there that tell as much as the whole picture
 LEAST_COPIED = 0.02  # share of them that there may always be
@@ -74,120 +73,6 @@ class Seen(NamedTuple):
     under: np.ndarray
     copied: np.ndarray
     stray: np.ndarray
-
-
-class Blocks(NamedTuple):
-    """Blocks of one region after the other.
-
-    Attributes
-    ----------
-    x, block : (N, 2), (N, 2) float64
-        Centres and sizes [px].
-    vector : (N, 2) float64
-        Where they were in the previous key frame, from where they are [px].
-    turned : (N, 2) float64
-        The part of that which the camera's rotation makes [px].
-    rho : (N,) float64
-        Apparent inverse depths [1/baseline].
-    first : (R,) int
-        Where each region begins.
-    """
-
-    x: np.ndarray
-    block: np.ndarray
-    vector: np.ndarray
-    turned: np.ndarray
-    rho: np.ndarray
-    first: np.ndarray
-
-
-class Outlines(NamedTuple):
-    """Where regions lie in the picture; R of them.
-
-    Attributes
-    ----------
-    low, high : (R, 2), (R, 2) float64
-        Corners of the boxes around the centres of their blocks [px].
-    foot : (R, 2) float64
-        Middle of the lowest row's lower edge [px].
-    drop : (R,) float64
-        Rows of the foot below the horizon [px]; infinite where that is unknown.
-    under : (R,) float64
-        Inverse depth of the ground there [1/baseline]; 0 where that is unknown.
-    filled : (R,) float64
-        Share of the box that blocks cover.
-    rho : (R,) float64
-        Mean apparent inverse depth of the blocks near the foot [1/baseline].
-    kinds : (R,) int
-        Vectors that differ.
-    turned : (R, 2) float64
-        Mean shift by the camera's rotation [px].
-    limit : (3,) float64
-        Greatest width, greatest and least height of vehicles, as shares of the camera's height.
-    """
-
-    low: np.ndarray
-    high: np.ndarray
-    foot: np.ndarray
-    drop: np.ndarray
-    under: np.ndarray
-    filled: np.ndarray
-    rho: np.ndarray
-    kinds: np.ndarray
-    turned: np.ndarray
-    limit: np.ndarray
-
-    @property
-    def size(self) -> np.ndarray:
-        """Return widths and heights (R, 2) [px]."""
-        return self.high - self.low + lattice.MACROBLOCK
-
-
-def _below_horizon(x: np.ndarray, K: np.ndarray, level: np.ndarray | None) -> np.ndarray:
-    """Return how many rows (N,) pixels (N, 2) lie below the horizon; infinite: unknown.
-
-    ``level`` (3,) is normal to the ground at any length, up.
-    """
-    if level is None or level[1] >= 0:
-        return np.full(len(x), np.inf)
-    return to_rays(K, x) @ level / (level[1] / K[1, 1])
-
-
-def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
-             level: np.ndarray | None, camera_height: float) -> Outlines:
-    """Return the Outlines of regions.
-
-    Parameters
-    ----------
-    blocks : Blocks
-    K : (3, 3) array
-    ground : (3,) array or None
-        Ground plane n / d in camera k [1/baseline].
-    level : (3,) array or None
-        The same at any length, where only the horizon is known.
-    camera_height : float
-        Above the ground [m].
-    """
-    x, block, first = blocks.x, blocks.block, blocks.first
-    size = np.diff(first, append=len(x))
-    bottom = x[:, 1] + 0.5 * block[:, 1]
-    # A single block below all others is taken for a stray, as geometry.moving_plane.contact does.
-    order = np.lexsort((bottom, np.repeat(np.arange(len(first)), size)))
-    edge = bottom[order[first + np.maximum(size - 2, 0)]]
-    lowest = (bottom >= np.repeat(edge, size) - 0.5).astype(float)
-    across = np.add.reduceat(x[:, 0] * lowest, first) / np.add.reduceat(lowest, first)
-    foot = np.stack([across, edge - (0.5 - COVERED) * lattice.MACROBLOCK], axis=1)
-    area, drop = np.add.reduceat(block.prod(axis=1), first), _below_horizon(foot, K, level)
-    under = np.zeros(len(first)) if ground is None else -to_rays(K, foot) @ ground
-    low, high = np.minimum.reduceat(x, first), np.maximum.reduceat(x, first)
-    filled = area / np.prod(high - low + lattice.MACROBLOCK, axis=1)
-    lower = (bottom > np.repeat(edge, size) - FOOT_HEIGHT).astype(float)
-    rho = np.add.reduceat(blocks.rho * lower, first) / np.add.reduceat(lower, first)
-    across, down = np.round(blocks.vector / REPEATED).astype(np.int64).T % 65536
-    kinds = np.unique((np.repeat(np.arange(len(first)), size) << 32) + (across << 16) + down)
-    turned = np.add.reduceat(blocks.turned, first) / size[:, None]
-    return Outlines(low, high, foot, drop, under, filled, rho, np.bincount(kinds >> 32), turned,
-                    np.array([WIDEST, TALLEST, LOWEST]) / camera_height)
 
 
 def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen: Seen,
@@ -228,7 +113,7 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen:
         seen_there = _ground_below(outline, i, max(farthest[i], 0) / outline.under[i],
                                    seen_or_lone)
         below[i] = min(below[i], max(UNSEEN + seen_there, 0.0))
-    distance += below
+    distance += np.minimum(below, np.maximum(NO_LAND - outline.land, 0.0))
     at_foot = np.minimum(at_foot, outline.rho)
     # The road's own wrong vectors are short: low or scattered, they are no vehicle.
     road = np.isfinite(drop) & (distance > 0)

@@ -5,16 +5,8 @@ from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.planes import region_scores
 from mv_slapse.planes.lone_vectors import LONE_OUTLIER
 from mv_slapse.planes.moving import fit_surfaces, Regions
-from mv_slapse.planes.region_scores import (
-    BACK,
-    Blocks,
-    departures,
-    OUTLIER,
-    outlines,
-    scores,
-    Seen,
-    STEP,
-)
+from mv_slapse.planes.region_outlines import Blocks, outlines
+from mv_slapse.planes.region_scores import BACK, departures, OUTLIER, scores, Seen, STEP
 import numpy as np
 import pytest
 
@@ -28,7 +20,7 @@ FIRST_ROW = 180.0
 
 def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), ground=GROUND,
           keep=1.0, t=T, below='ground', above=None, copied=0.0, kinds=None, turned=(0.0, 0.0),
-          lone=None, nearer=1.0, camera_height=HEIGHT):
+          lone=None, nearer=1.0, camera_height=HEIGHT, land=None):
     """Return the score of an upright face at a depth that moves by ``motion`` in the pair.
 
     Blocks below it show the ``ground``, the ``face``'s own depth, what is ``nearer``, ``half`` of
@@ -41,7 +33,8 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     # A block is the face's from a tenth of its height on.
     x = GRID[np.all((corner[0] < GRID) & (corner[1] + (0.0, 6.4) > GRID), axis=1)]
     x = x[np.random.default_rng(0).uniform(size=len(x)) < keep] if keep < 1 else x
-    X = to_rays(K, x) * depth
+    far = np.full(len(x), depth) if land is None else -1 / (land * (to_rays(K, x) @ ground))
+    X = to_rays(K, x) * far[:, None]
     x_prev = to_pixels(K, X - np.array(motion) - t)
     regions = Regions(to_rays(K, x), x_prev, np.full(len(x), 0.3), np.zeros(1, int))
     apparent = (to_rays(K, x_prev)[:, :2] - to_rays(K, x)[:, :2])
@@ -49,7 +42,7 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
         np.sum(to_rays(K, x_prev)[:, :2]**2, axis=1), 1e-9)
     vector = x if kinds is None else np.c_[np.arange(len(x)) % kinds, np.zeros(len(x))]
     blocks = Blocks(x, np.full(x.shape, 16.0), vector, np.tile(turned, (len(x), 1)), rho,
-                    np.zeros(1, int))
+                    np.full(len(x), 0.002), np.zeros(1, int))
     outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]), camera_height)
     fit = fit_surfaces(regions, K, np.eye(3), GROUND)
     own = seen_as(x, rho, np.zeros(len(x)))
@@ -153,6 +146,11 @@ def test_land_below_the_plane_of_the_road_does_not_move():
     assert score(18.0, low=(-12.0, 0.5 * HEIGHT), **lower | {'below': 'ground'}) < 0
 
 
+def test_land_that_the_road_would_hide_does_not_move_though_road_is_seen_before_it():
+    place = {'depth': 12.0, 'low': (-2.0, 0.5 * HEIGHT), 'high': (2.0, HEIGHT)}
+    assert score(**place, motion=(0, 0, 0.5)) > 5 > 0 > score(**place, land=0.5)
+
+
 def test_no_pair_alone_calls_a_region_moving():
     assert score(8.0, (2.0, 0, 0)) < ExtractionSettings().moving_score
 
@@ -231,7 +229,7 @@ def test_what_has_left_scores_by_its_blocks_and_is_no_building(high, likelihood,
                                                                camera_height):
     x = GRID[np.all(np.abs(to_rays(K, GRID)[:, :2] * 12 - (0, HEIGHT - high)) < (1, high), axis=1)]
     blocks = Blocks(x, np.full(x.shape, 16.0), x, np.zeros(x.shape), np.full(len(x), 1 / 12),
-                    np.zeros(1, int))
+                    np.full(len(x), 1 / 120), np.zeros(1, int))
     outline = outlines(blocks, K, GROUND, np.array([0.0, -1.0, 0.0]), camera_height)
     seen = seen_as(x, blocks.rho, np.zeros(len(x)))._replace(sigma=0.1 * blocks.rho)
     assert departures(outline, np.array([likelihood]), seen)[0] == pytest.approx(expected)
