@@ -100,10 +100,10 @@ def recoded(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
         return
     for kind, fps, step, encodings in (('kitti00 at 1 Mbit/s', 10.0, 1, LOW_RATE_ENCODINGS),
                                        ('kitti00 at 5 Hz', 5.0, 2, SLOW_ENCODINGS)):
-        wanted = _named(kind, encodings, only)
+        wanted = named(kind, encodings, only)
         if wanted:
             images = list(pictures(source / 'h264_lowlatency.mp4'))[::step]
-            yield from _encoded(wanted, folder, images, fps, Case(
+            yield from encoded(wanted, folder, images, fps, Case(
                 '', folder, read_camera(source / 'camera.yaml'), HEIGHTS['kitti00'],
                 source / 'ground_truth.tum'))
 
@@ -112,7 +112,7 @@ def lossy(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
     """Yield kitti00 with the packets of two seconds left out, as a radio link would."""
     source = data / 'kitti00'
     for kind, height in LOSSES.items():
-        for name in _named(kind, ENCODINGS, only):
+        for name in named(kind, ENCODINGS, only):
             given, video = source / Path(name).name, folder / name
             if given.exists():
                 video.parent.mkdir(parents=True, exist_ok=True)
@@ -154,31 +154,33 @@ def drives(folder: Path, only: str = '') -> Iterator[Case]:
 def flights(folder: Path, only: str = '') -> Iterator[Case]:
     """Render flights through a room; the scale is free."""
     for kind, (lens, settings) in FLIGHTS.items():
-        wanted = _named(kind, ENCODINGS, only)
+        wanted = named(kind, ENCODINGS, only)
         if wanted:
             images = list(film_flight(Flight(lens, settings), folder / kind))
-            yield from _encoded(wanted, folder, images, settings.fps,
+            yield from encoded(wanted, folder, images, settings.fps,
                                 Case('', folder, lens, 0.0, folder / kind))
 
 
 def _street(kind: str, folder: Path, only: str, settings: StreetSettings) -> Iterator[Case]:
-    wanted = _named(kind, ENCODINGS if settings.fps >= 24 else SLOW_ENCODINGS, only)
+    wanted = named(kind, ENCODINGS if settings.fps >= 24 else SLOW_ENCODINGS, only)
     if wanted:
         street = Street(settings)
         images = list(film(street, folder / kind))
-        yield from _encoded(wanted, folder, images, settings.fps, Case(
+        yield from encoded(wanted, folder, images, settings.fps, Case(
             '', folder, street.camera, settings.camera_height, folder / kind))
 
 
-def _named(kind: str, encodings: dict[str, Encoding], only: str) -> dict[str, Encoding]:
+def named(kind: str, encodings: dict[str, Encoding], only: str) -> dict[str, Encoding]:
+    """Return the encodings by the names of their rows, of those whose name holds ``only``."""
     return {f'{kind}/{file}': encoding for file, encoding in encodings.items()
             if only in f'{kind}/{file}'}
 
 
-def _encoded(wanted: dict[str, Encoding], folder: Path, images: Iterable[np.ndarray], fps: float,
-             like: Case) -> Iterator[Case]:
+def encoded(wanted: dict[str, Encoding], folder: Path, images: Iterable[np.ndarray], fps: float,
+            like: Case) -> Iterator[Case]:
+    """Write pictures in each encoding into a folder and yield the cases, else as ``like``."""
     for name, encoding in wanted.items():
         video = folder / name
         video.parent.mkdir(parents=True, exist_ok=True)
         write_video(video, images, fps, encoding)
-        yield Case(name, video, like.camera, like.height, like.ground_truth)
+        yield replace(like, name=name, video=video)

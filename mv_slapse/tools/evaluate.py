@@ -15,6 +15,7 @@ from typing import Any
 from mv_slapse.config import SceneSettings, Settings
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.tools import cases
+from mv_slapse.tools.altered import altered
 from mv_slapse.tools.cases import Case
 from mv_slapse.tools.eval import evaluate
 from mv_slapse.tools.run import run
@@ -31,6 +32,7 @@ COLUMNS = {
     'normal [deg]': ('plane_normal_error_deg', '{:.1f}'),
     'on one [%]': ('plane_observations_on_one_plane_percent', '{:.0f}'),
     'called moving': ('movers_found', '{:d}'), 'of': ('movers_total', '{:d}'),
+    'still so [%]': ('stationary_called_moving_percent', '{:.2f}'),
     'CPU [ms]': ('cpu_ms', '{:.1f}')}
 OBSTACLE_COLUMNS = {
     'in time': ('movers_confirmed_in_time', '{:d}'), 'of': ('movers_due', '{:d}'),
@@ -86,9 +88,10 @@ def page(measured: dict[str, dict[str, Any]], commit: str) -> str:
         'per cent of the way; covered: positions within 3 sigma of the true ones; NEES: of '
         'poses, 6 if the covariances are right, where the truth is exact; standstill: farthest '
         'from where it stopped; planes: true ones that were found; on one: observations of planes '
-        'four fifths of whose macroblocks lie on one true plane; CPU: of all stages, for each '
-        'frame of the video. Speed given: `--speed` with a speed drawn from the truth, 1 % '
-        'noise, in place of the height; free scale: neither.\n\n'
+        'four fifths of whose macroblocks lie on one true plane; still so: stationary points or '
+        'blocks called moving; mirrored, cut: the same clips with other vectors; CPU: of all '
+        'stages, for each frame of the video. Speed given: `--speed` with a speed drawn from the '
+        'truth, 1 % noise, in place of the height; free scale: neither.\n\n'
         f'{_table(measured, COLUMNS)}\n'
         '## Moving obstacles\n\n'
         'In time: passages of movers of at least 6 macroblocks met by a confirmed obstacle '
@@ -121,6 +124,7 @@ def all_cases(options: argparse.Namespace, folder: Path) -> Iterator[Case]:
         yield from cases.cameraless(options.data)
         yield from cases.recoded(options.data, folder, only)
         yield from cases.otherwise_scaled(cases.lossy(options.data, folder, only))
+        yield from altered(options.data, folder, only)
     yield from cases.streets(folder, options.streets, options.frames, only)
     yield from cases.drives(folder, only)
     yield from cases.otherwise_scaled(cases.flights(folder, only))

@@ -1,0 +1,106 @@
+"""Clips with known movers, mirrored and cut: the same scenes in other vectors.
+
+What was tried on a few clips may fit them by chance. Mirrored, or cut by a few pixels so that
+macroblocks lie elsewhere, and coded anew, they show how far a figure carries.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from mv_slapse.codec.encoder import Encoding
+from mv_slapse.codec.pictures import pictures
+from mv_slapse.evaluation.truth import read_arrays
+from mv_slapse.geometry.camera import Camera
+from mv_slapse.storage.tables import read_table
+from mv_slapse.tools.cases import Case, encoded, named, sequences
+import numpy as np
+
+SOURCE = 'h264_lowlatency.mp4'
+LABELLED, BOXED = 10.0, 30.0  # [Hz] of the clips with labelled points, and with boxes
+RATES = {LABELLED: '9000000', BOXED: '2000000'}  # [bit/s] at which the given ones are coded
+BOX_COLUMNS = ('frame', 'x', 'y', 'width', 'height')
+
+
+class Alteration(NamedTuple):
+    """A picture mirrored first, then cut at its left and upper end [px]; its sides stay even."""
+
+    mirrored: bool
+    left: int
+    top: int
+
+    def image(self, given: np.ndarray) -> np.ndarray:
+        """Return a picture as it is then."""
+        turned = given[:, ::-1] if self.mirrored else given
+        width, height = self._size(*given.shape[::-1])
+        return np.ascontiguousarray(turned[self.top:, self.left:][:height, :width])
+
+    def camera(self, given: Camera) -> Camera:
+        """Return the camera that took it; one without distortion."""
+        K = given.K.copy()
+        K[:2, 2] = self.x(K[None, :2, 2], given.width)[0]
+        width, height = self._size(given.width, given.height)
+        return replace(given, width=width, height=height, K=K)
+
+    def x(self, given: np.ndarray, width: int) -> np.ndarray:
+        """Return where pixels (..., 2) of a camera of some width are then."""
+        # An encoder has left out an odd last column.
+        across = width // 2 * 2 - 1 - given[..., 0] if self.mirrored else given[..., 0]
+        return np.stack([across - self.left, given[..., 1] - self.top], axis=-1)
+
+    def _size(self, width, height):
+        return (width // 2 * 2 - self.left) // 2 * 2, (height // 2 * 2 - self.top) // 2 * 2
+
+
+KINDS = {'mirrored': Alteration(True, 0, 0), 'cut': Alteration(False, 10, 9)}
+
+
+def altered(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
+    """Yield the clips with labelled points or boxes, altered, in two encodings of their rate.
+
+    ``only``: those whose row's name holds this text.
+    """
+    for case in sequences(data):
+        if case.video.name != SOURCE or not (case.labels or case.boxes):
+            continue
+        fps = LABELLED if case.labels else BOXED
+        for kind, alteration in KINDS.items():
+            name = f'{case.video.parent.name}, {kind}'
+            wanted = named(name, _encodings(fps), only)
+            if wanted:
+                images = [alteration.image(image) for image in pictures(case.video)]
+                truth = folder / name
+                truth.mkdir(parents=True, exist_ok=True)
+                like = replace(_with_truth(case, alteration, truth),
+                               camera=alteration.camera(case.camera))
+                yield from encoded(wanted, folder, images, fps, like)
+
+
+def _encodings(fps):
+    b_frames = 0 if fps == LABELLED else 3
+    return {'mpeg2.mp4': Encoding('mpeg2video', b_frames, 12, {
+                'strict': '-2', 'flags': '0', 'b': '9000000'}),
+            SOURCE: Encoding('h264', 0, 30, {
+                'preset': 'veryfast', 'crf': '-1', 'b': RATES[fps]})}
+
+
+def _with_truth(case, alteration, folder):
+    """Write what is known of a clip as it is of the altered one; return its case."""
+    width, camera = case.camera.width, alteration.camera(case.camera)
+    if case.labels:
+        known = read_arrays(case.labels, ('tracks', 'visible', 'label'))
+        tracks = alteration.x(known['tracks'], width)
+        inside = np.all((tracks >= 0) & (tracks <= (camera.width - 1, camera.height - 1)), axis=2)
+        np.savez(folder / case.labels.name, tracks=tracks, label=known['label'],
+                 visible=known['visible'].astype(bool) & inside)
+        return replace(case, labels=folder / case.labels.name)
+    table = read_table(case.boxes, ','.join(BOX_COLUMNS))
+    corners = np.stack([table['x'], table['y']], axis=-1)
+    if alteration.mirrored:  # what was the last column of a box is its first then
+        corners[:, 0] += table['width'] - 1
+    table['x'], table['y'] = alteration.x(corners, width).T
+    rows = np.stack([table[column] for column in BOX_COLUMNS], axis=-1)
+    np.savetxt(folder / case.boxes.name, rows, '%g', ',', header=','.join(BOX_COLUMNS),
+               comments='')
+    return replace(case, boxes=folder / case.boxes.name)
