@@ -81,7 +81,7 @@ def run(node_type: Callable[[], Node], args: list[str] | None = None) -> int:
     The signals are Python's here, not rclpy's: they only ask the loop to end, so that nothing is
     torn down under a callback's hands.
     """
-    node, stop = None, _Stop()
+    node, executor, stop = None, None, _Stop()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = node_type()
@@ -100,6 +100,9 @@ def run(node_type: Callable[[], Node], args: list[str] | None = None) -> int:
     finally:
         # The middleware was seen to hang while it ended, once in a thousand processes.
         faulthandler.dump_traceback_later(END_TIME, exit=True)
+        # Left to the interpreter's end an executor was seen to miss its handles, with a traceback.
+        if executor is not None:
+            executor.shutdown()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

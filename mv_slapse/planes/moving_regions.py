@@ -42,6 +42,7 @@ RISING = (0.3, 2)  # share of a car's departed blocks off it, 0.3 to 1 as measur
 FITS = 3.0  # sigma of the epipolar error of a block whose apparent depth tells something
 FAR = 1.5  # px of parallax, less is far off,
 RESTING = 0.75  # px, or rests where the camera stands
+RECEDING = 0.5  # share of its depth by which a thing may at most go away in a pair
 GROWTH = 1.0  # [1/s] to which things grow or shrink before it: contact in a second
 FADING = 0.85  # of the score from pair to pair
 KEPT = 0.5  # of the score at which a region moves: enough for what was or is beside a mover
@@ -164,7 +165,8 @@ def _motion_field(extraction, ground, level, departure, lone, nearer):
     least = FAR if np.any(t) else RESTING
     far = (under <= 0) & (np.linalg.norm(parallax, axis=1) < least)
     below = rho + 2 * noise < BELOW_GROUND * under
-    nearing = np.maximum(-rho * t[2], 0.0)
+    # What moves against the flow shows no depth.
+    nearing = np.maximum(-t[2] * np.maximum(rho, 0.0), -RECEDING)
     pair_time = 1e-9 * (extraction.stamp - extraction.previous_stamp)
     free_growth = GROWTH * pair_time * (motion.status is MotionStatus.STANDSTILL)
     seen = Seen(x, rho, noise, under, _copied(extraction), np.full(len(x), OUTLIER))
@@ -208,8 +210,10 @@ def _alike_pairs(motion_field):
     longer = np.maximum(np.linalg.norm(m[a], axis=1), np.linalg.norm(m[b], axis=1))
     # Where all vectors are short a pixel would join the whole scene.
     slack = np.clip(ALIKE_SHORT * np.median(np.linalg.norm(m, axis=1)), 0.5, 1.0) * ALIKE[0]
-    # What comes near grows: the vectors of one surface differ the more the farther apart they are.
-    by, growth = x[a] - x[b], np.minimum(motion_field.growth[a], motion_field.growth[b])
+    # What comes near grows, and shrinks before a camera that drives back: the vectors of one
+    # surface differ the more the farther apart they are.
+    by, (growth, more) = x[a] - x[b], (motion_field.growth[at] for at in (a, b))
+    growth = np.where(np.abs(growth) < np.abs(more), growth, more)
     own = _own_growth(motion_field, a, b) if motion_field.free_growth else ()
     apart, *left = (np.linalg.norm(m[a] - m[b] - share[:, None] * by, axis=1)
                     for share in (np.zeros(len(a)), growth, *own))

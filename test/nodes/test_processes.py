@@ -55,6 +55,25 @@ def test_a_node_ends_cleanly_on_sigterm(bench):
     stop([process], signal.SIGTERM)
 
 
+def test_the_executor_ends_before_what_it_waits_on(ros_domain):
+    program = ('from mv_slapse.nodes import shell\n'
+               'class Told(shell.SingleThreadedExecutor):\n'
+               '    def shutdown(self): print("executor", flush=True); super().shutdown()\n'
+               'class Node(shell.Node):\n'
+               '    def destroy_node(self): print("node", flush=True); super().destroy_node()\n'
+               'shell.SingleThreadedExecutor = Told\n'
+               'print("started", flush=True)\n'
+               'shell.run(lambda: Node("ends"))\n')
+    process = subprocess.Popen([sys.executable, '-c', program], text=True, cwd=ROOT,
+                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    assert process.stdout.readline() == 'started\n'
+    time.sleep(1.0)
+    process.send_signal(signal.SIGTERM)
+    said, _ = process.communicate(timeout=20)
+    endings.check(process.returncode, said)
+    assert said.splitlines()[:2] == ['executor', 'node']
+
+
 def test_a_node_whose_end_hangs_is_ended_with_code_1_and_tells_where(ros_domain):
     program = ('import time; from mv_slapse.nodes import shell\n'
                'shell.END_TIME = 0.5\n'

@@ -92,10 +92,13 @@ def test_an_empty_street_has_few_moving_planes(rng):
     assert np.mean(count) < 0.3
 
 
-def behind_a_car_of_the_same_speed(stamp):
-    """Return a pair of a road, a car ahead at rest in the picture, and far trees above both."""
-    K, t, ground = np.array([[700.0, 0, 320], [0, 700, 180], [0, 0, 1]]), -np.eye(3)[2], np.array(
-        [0, -1 / 1.65, 0])
+def behind_a_car_of_the_same_speed(stamp, way=1):
+    """Return a pair of a road, a car ahead at rest in the picture, and far trees above both.
+
+    The camera drives ahead, or back where ``way`` is -1.
+    """
+    K, t = np.array([[700.0, 0, 320], [0, 700, 180], [0, 0, 1]]), -way * np.eye(3)[2]
+    ground = np.array([0, -1 / 1.65, 0])
     x = np.stack(np.meshgrid(np.arange(7.5, 640, 16), np.arange(7.5, 360, 16)), -1).reshape(-1, 2)
     car = (np.abs(x[:, 0] - 320) < 60) & (x[:, 1] > 180) & (x[:, 1] < 290)
     road, trees = ~car & (x[:, 1] > 190), ~car & (x[:, 1] < 180) & (x[:, 1] > 60)
@@ -245,11 +248,12 @@ def test_what_has_left_is_no_part_of_what_stands_beside_it_and_moves_alike():
     assert not np.any(found.label[beyond] == Label.MOVING)
 
 
-def test_a_car_that_comes_near_is_one_region_though_its_vectors_differ():
-    pair, car, _, ground = behind_a_car_of_the_same_speed(1)
+@pytest.mark.parametrize('way', [1, -1], ids=['comes near', 'is left behind'])
+def test_a_car_is_one_region_though_its_vectors_differ(way):
+    pair, car, _, ground = behind_a_car_of_the_same_speed(1, way)
     x = pair.x_cur.astype(float)
     own = car & (x[:, 0] > 320) & (x[:, 1] < 240)
-    pair, memory = with_own_vectors(pair, own, 0.2 * (x - (320, 180)))
+    pair, memory = with_own_vectors(pair, own, way * 0.2 * (x - (320, 180)))
     found, _ = with_moving_planes(pair, ground, memory, THRESHOLD / 2)
     assert np.mean(found.label[own] == Label.MOVING) == 1.0
     assert len(np.unique(found.plane_id[own])) == 1
