@@ -41,6 +41,17 @@ def stop(processes, number):
         endings.check(process.returncode, said)
 
 
+def told_to_end(program, number):
+    """Return exit code and words of a program that says when it has started, after a signal."""
+    process = subprocess.Popen([sys.executable, '-c', program], text=True, cwd=ROOT,
+                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    assert process.stdout.readline() == 'started\n'
+    time.sleep(1.0)
+    process.send_signal(number)
+    said, _ = process.communicate(timeout=20)
+    return process.returncode, said
+
+
 def test_all_nodes_take_their_parameter_files_and_end_cleanly_on_sigint(bench):
     processes = [start(name, '--params-file', str(ROOT / 'config' / f'{name}.yaml'))
                  for name in NODES]
@@ -64,13 +75,8 @@ def test_the_executor_ends_before_what_it_waits_on(ros_domain):
                'shell.SingleThreadedExecutor = Told\n'
                'print("started", flush=True)\n'
                'shell.run(lambda: Node("ends"))\n')
-    process = subprocess.Popen([sys.executable, '-c', program], text=True, cwd=ROOT,
-                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-    assert process.stdout.readline() == 'started\n'
-    time.sleep(1.0)
-    process.send_signal(signal.SIGTERM)
-    said, _ = process.communicate(timeout=20)
-    endings.check(process.returncode, said)
+    code, said = told_to_end(program, signal.SIGTERM)
+    endings.check(code, said)
     assert said.splitlines()[:2] == ['executor', 'node']
 
 
@@ -81,13 +87,8 @@ def test_a_node_whose_end_hangs_is_ended_with_code_1_and_tells_where(ros_domain)
                '    def destroy_node(self): time.sleep(60)\n'
                'print("started", flush=True)\n'
                'shell.run(lambda: Stuck("stuck"))\n')
-    process = subprocess.Popen([sys.executable, '-c', program], text=True, cwd=ROOT,
-                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-    assert process.stdout.readline() == 'started\n'
-    time.sleep(1.0)
-    process.send_signal(signal.SIGINT)
-    said, _ = process.communicate(timeout=20)
-    assert process.returncode == 1
+    code, said = told_to_end(program, signal.SIGINT)
+    assert code == 1
     assert 'destroy_node' in said
 
 
