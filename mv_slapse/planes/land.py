@@ -9,7 +9,7 @@ import numpy as np
 RELIEF = 0.05  # share of their inverse depth by which bodies are no planes, and land neither
 FARTHEST = 9.0  # squared error, in variances, that one block tells at most: it may be wrong
 DEPENDENCE = 2.0  # blocks that tell as much as one
-ITERATIONS = 3  # of the reweighting: the shares then change by less than a per cent
+ITERATIONS = 3  # of the reweighting: more change the share of land by less than a per cent, mostly
 
 
 def land_rather(rho: np.ndarray, sigma: np.ndarray, under: np.ndarray, first: np.ndarray

@@ -37,7 +37,7 @@ class Alteration(NamedTuple):
         return np.ascontiguousarray(turned[self.top:, self.left:][:height, :width])
 
     def camera(self, given: Camera) -> Camera:
-        """Return the camera that took it; one without distortion."""
+        """Return the camera that took it; only one without distortion can be mirrored."""
         K = given.K.copy()
         K[:2, 2] = self.x(K[None, :2, 2], given.width)[0]
         width, height = self._size(given.width, given.height)
@@ -66,6 +66,8 @@ def altered(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
             continue
         fps = LABELLED if case.labels else BOXED
         for kind, alteration in KINDS.items():
+            if alteration.mirrored and np.any(case.camera.distortion):
+                continue
             name = f'{case.video.parent.name}, {kind}'
             wanted = named(name, _encodings(fps), only)
             if wanted:
@@ -80,7 +82,7 @@ def altered(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
 def _encodings(fps):
     b_frames = 0 if fps == LABELLED else 3
     return {'mpeg2.mp4': Encoding('mpeg2video', b_frames, 12, {
-                'strict': '-2', 'flags': '0', 'b': '9000000'}),
+                'strict': '-2', 'flags': '0', 'b': RATES[fps]}),
             SOURCE: Encoding('h264', 0, 30, {
                 'preset': 'veryfast', 'crf': '-1', 'b': RATES[fps]})}
 
@@ -88,13 +90,15 @@ def _encodings(fps):
 def _with_truth(case, alteration, folder):
     """Write what is known of a clip as it is of the altered one; return its case."""
     width, camera = case.camera.width, alteration.camera(case.camera)
+    # What else is known of it is not altered.
+    alone = replace(case, ground_truth=None, labels=None, boxes=None, annotation=None)
     if case.labels:
         known = read_arrays(case.labels, ('tracks', 'visible', 'label'))
         tracks = alteration.x(known['tracks'], width)
         inside = np.all((tracks >= 0) & (tracks <= (camera.width - 1, camera.height - 1)), axis=2)
         np.savez(folder / case.labels.name, tracks=tracks, label=known['label'],
                  visible=known['visible'].astype(bool) & inside)
-        return replace(case, labels=folder / case.labels.name)
+        return replace(alone, labels=folder / case.labels.name)
     table = read_table(case.boxes, ','.join(BOX_COLUMNS))
     corners = np.stack([table['x'], table['y']], axis=-1)
     if alteration.mirrored:  # what was the last column of a box is its first then
@@ -103,4 +107,4 @@ def _with_truth(case, alteration, folder):
     rows = np.stack([table[column] for column in BOX_COLUMNS], axis=-1)
     np.savetxt(folder / case.boxes.name, rows, '%g', ',', header=','.join(BOX_COLUMNS),
                comments='')
-    return replace(case, boxes=folder / case.boxes.name)
+    return replace(alone, boxes=folder / case.boxes.name)

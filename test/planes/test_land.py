@@ -40,6 +40,12 @@ def test_wrong_vectors_change_little(rng):
     assert rather(rho, rng=rng) > 0.7 * right
 
 
+def test_land_is_no_plane_however_sharp_its_vectors(rng):
+    rho = 0.6 * UNDER * (1 + 0.05 * rng.standard_normal(len(UNDER)))
+    sharp = land_rather(rho, np.full(len(rho), 1e-5), UNDER, np.zeros(1, int))[0]
+    assert sharp > 20
+
+
 def test_blocks_above_the_horizon_tell_nothing(rng):
     rho, above = 0.6 * UNDER, np.full(5, -0.01)
     assert rather(np.r_[rho, np.full(5, 0.2)], np.r_[UNDER, above]) == rather(rho)

@@ -1,5 +1,8 @@
 """Clips with known movers, mirrored and cut: pictures, camera and truth must change alike."""
 
+from dataclasses import replace
+
+import av
 from mv_slapse.codec.encoder import LOW_LATENCY, write_video
 from mv_slapse.codec.pictures import pictures
 from mv_slapse.evaluation.truth import read_arrays
@@ -45,6 +48,8 @@ def test_each_clip_with_a_truth_comes_once_for_each_kind_and_encoding(data, tmp_
 
 def test_points_and_boxes_stay_on_what_they_mark(data, tmp_path):
     for case in altered(data, tmp_path):
+        with av.open(str(case.video)) as video:
+            assert video.streams.video[0].average_rate == (10 if case.labels else 30)
         image = list(pictures(case.video))[1]
         assert image.shape == (case.camera.height, case.camera.width)
         if case.labels:
@@ -56,6 +61,18 @@ def test_points_and_boxes_stay_on_what_they_mark(data, tmp_path):
             at = np.array([box['x'][0] + 4, box['y'][0] + 2])
             np.testing.assert_allclose(at, middle(image), atol=0.1)
             assert (box['frame'][0], box['width'][0], box['height'][0]) == (1, 9, 5)
+
+
+def test_a_clip_through_a_lens_with_distortion_is_only_cut(data, tmp_path):
+    write_camera(data / 'points' / 'camera.yaml',
+                 replace(CAMERA, distortion=np.array([-0.3, 0.1, 0, 0, 0])))
+    assert [case.name for case in altered(data, tmp_path, 'points')] == [
+        'points, cut/mpeg2.mp4', 'points, cut/h264_lowlatency.mp4']
+
+
+def test_what_else_is_known_of_a_clip_is_left_out(data, tmp_path):
+    (data / 'boxes' / 'ground_truth.tum').write_text('')
+    assert all(case.ground_truth is None for case in altered(data, tmp_path, 'boxes'))
 
 
 def test_the_ray_of_a_pixel_stays_but_for_its_side(data, tmp_path):

@@ -1,6 +1,7 @@
 """The table of ``make evaluate``, on one short rendered street."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 from mv_slapse.codec.encoder import LOW_LATENCY, write_video
 from mv_slapse.codec.pictures import pictures
@@ -64,6 +65,14 @@ def data(tmp_path):
     write_camera(folder / 'camera.yaml', CAMERA)
     (folder / 'ground_truth.tum').write_text('')
     return folder.parent
+
+
+def test_clips_with_known_movers_come_altered_too(data, tmp_path):
+    folder = (data / 'kitti00').rename(data / 'clip')
+    (folder / 'boxes.csv').write_text('frame,x,y,width,height\n1,10,10,20,20\n')
+    options = SimpleNamespace(data=data, only='clip, cut/mpeg2', streets=0, frames=0)
+    names = [case.name for case in evaluate.all_cases(options, tmp_path)]
+    assert names == ['clip/h264_lowlatency.mp4', 'clip, cut/mpeg2.mp4']
 
 
 def test_a_sequence_is_encoded_anew_with_fewer_bits_and_with_fewer_pictures(data, tmp_path):
