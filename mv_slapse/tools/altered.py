@@ -20,7 +20,7 @@ import numpy as np
 SOURCE = 'h264_lowlatency.mp4'
 LABELLED, BOXED = 10.0, 30.0  # [Hz] of the clips with labelled points, and with boxes
 RATES = {LABELLED: '9000000', BOXED: '2000000'}  # [bit/s] at which the given ones are coded
-BOX_COLUMNS = ('frame', 'x', 'y', 'width', 'height')
+BOX_HEADER = 'frame,x,y,width,height'
 
 
 class Alteration(NamedTuple):
@@ -74,8 +74,7 @@ def altered(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
                 images = [alteration.image(image) for image in pictures(case.video)]
                 truth = folder / name
                 truth.mkdir(parents=True, exist_ok=True)
-                like = replace(_with_truth(case, alteration, truth),
-                               camera=alteration.camera(case.camera))
+                like = _with_camera_and_truth(case, alteration, truth)
                 yield from encoded(wanted, folder, images, fps, like)
 
 
@@ -87,11 +86,12 @@ def _encodings(fps):
                 'preset': 'veryfast', 'crf': '-1', 'b': RATES[fps]})}
 
 
-def _with_truth(case, alteration, folder):
+def _with_camera_and_truth(case, alteration, folder):
     """Write what is known of a clip as it is of the altered one; return its case."""
     width, camera = case.camera.width, alteration.camera(case.camera)
     # What else is known of it is not altered.
-    alone = replace(case, ground_truth=None, labels=None, boxes=None, annotation=None)
+    alone = replace(case, camera=camera, ground_truth=None, labels=None, boxes=None,
+                    annotation=None)
     if case.labels:
         known = read_arrays(case.labels, ('tracks', 'visible', 'label'))
         tracks = alteration.x(known['tracks'], width)
@@ -99,12 +99,11 @@ def _with_truth(case, alteration, folder):
         np.savez(folder / case.labels.name, tracks=tracks, label=known['label'],
                  visible=known['visible'].astype(bool) & inside)
         return replace(alone, labels=folder / case.labels.name)
-    table = read_table(case.boxes, ','.join(BOX_COLUMNS))
+    table = read_table(case.boxes, BOX_HEADER)
     corners = np.stack([table['x'], table['y']], axis=-1)
     if alteration.mirrored:  # what was the last column of a box is its first then
         corners[:, 0] += table['width'] - 1
     table['x'], table['y'] = alteration.x(corners, width).T
-    rows = np.stack([table[column] for column in BOX_COLUMNS], axis=-1)
-    np.savetxt(folder / case.boxes.name, rows, '%g', ',', header=','.join(BOX_COLUMNS),
-               comments='')
+    rows = np.stack([table[column] for column in BOX_HEADER.split(',')], axis=-1)
+    np.savetxt(folder / case.boxes.name, rows, '%g', ',', header=BOX_HEADER, comments='')
     return replace(alone, boxes=folder / case.boxes.name)
