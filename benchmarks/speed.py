@@ -21,11 +21,11 @@ from mv_slapse.codec.frames import FrameDecoder
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.source import open_source
 from mv_slapse.config import Settings
-from mv_slapse.filters.obstacles import ObstacleTracker
-from mv_slapse.filters.scene import SceneFilter
+from mv_slapse.extraction.extractor import PlaneExtractor
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.planes.extractor import PlaneExtractor
+from mv_slapse.obstacles.tracker import ObstacleTracker
 from mv_slapse.records import Correspondences
+from mv_slapse.scene.filter import SceneFilter
 from mv_slapse.simulation.render import Renderer
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.storage.camera_info import read_camera, write_camera

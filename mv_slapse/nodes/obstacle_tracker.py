@@ -2,7 +2,6 @@
 
 from mv_slapse import fields
 from mv_slapse.config import ObstacleSettings
-from mv_slapse.filters.obstacles import ObstacleTracker
 from mv_slapse.nodes.extrinsics import Extrinsics
 from mv_slapse.nodes.gate import Gate
 from mv_slapse.nodes.handovers import Handovers
@@ -11,6 +10,7 @@ from mv_slapse.nodes.obstacle_output import ObstacleOutput
 from mv_slapse.nodes.qos import LATCHED, RELIABLE, subscribe
 from mv_slapse.nodes.scene_join import continues, SceneJoin, SceneMemory
 from mv_slapse.nodes.shell import run, Shell
+from mv_slapse.obstacles.tracker import ObstacleTracker
 from mv_slapse.records import Label
 from mv_slapse_msgs.msg import PlaneMap, PlaneObservations
 from nav_msgs.msg import Odometry

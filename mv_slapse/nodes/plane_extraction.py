@@ -2,6 +2,7 @@
 
 from mv_slapse import fields
 from mv_slapse.config import ExtractionSettings, MountSettings
+from mv_slapse.extraction.extractor import PlaneExtractor
 from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import RosFrames
@@ -10,7 +11,6 @@ from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.gate import Gate
 from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.shell import run, Shell
-from mv_slapse.planes.extractor import PlaneExtractor
 from mv_slapse_msgs.msg import Correspondences, PlaneObservations
 
 TOPIC = 'correspondences'

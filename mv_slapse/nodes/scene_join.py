@@ -5,8 +5,8 @@ from dataclasses import replace
 from typing import Any
 
 from mv_slapse.fields import scene_from_messages, stamp_from_message
-from mv_slapse.filters import units
 from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.obstacles import units
 from mv_slapse.records import Extraction, SceneEstimate, TrackingStatus
 import numpy as np
 
