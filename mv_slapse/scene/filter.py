@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import rotation, two_view
@@ -23,7 +22,7 @@ from mv_slapse.scene import record as scene_record
 from mv_slapse.scene import state as scene_state
 from mv_slapse.scene import update as scene_update
 from mv_slapse.scene.noise import Agreement, Dependence
-from mv_slapse.scene.observations import Observe
+from mv_slapse.scene.observations import Observation
 from mv_slapse.scene.progress import Progress
 from mv_slapse.scene.scale import ratio as scene_ratio
 from mv_slapse.scene.scale import rest as scene_rest
@@ -232,8 +231,7 @@ class SceneFilter:
         observations = self._rigid(ground) if ground in self._state.planes else []
         observations += [scene_speed.observed(way, self._settings)] if way else []
         if observations and self._state.velocity.any():
-            self._state = scene_update.observe(self._state, observations,
-                                               self._settings.iterations)
+            self._state = scene_update.observe(self._state, observations, self._settings)
 
     def _way(self, start: int, turn: float) -> Way | None:
         """Return the way [m] since a stamp by the speeds given, if they tell one that can be."""
@@ -360,7 +358,7 @@ class SceneFilter:
                                                  motion.t_cur_from_prev)
         return replace(self._settings, dependence=self._dependence.value)
 
-    def _gauge(self, baseline: float, first: bool, way: Way | None, told: bool) -> list[Observe]:
+    def _gauge(self, baseline: float, first: bool, way: Way | None, told: bool) -> list[Observation]:
         """Return the length of the first baseline, which is the unit, or the guess after a rest.
 
         Or of any by its speed. Where nothing has told one it stays about as predicted: directions
@@ -377,9 +375,9 @@ class SceneFilter:
             return []
         else:
             sigma = UNTOLD_SIGMA
-        return [partial(scene_observations.baseline, length=baseline, sigma=sigma)]
+        return [scene_observations.baseline(baseline, sigma)]
 
-    def _rigid(self, ground: int | None) -> list[Observe]:
+    def _rigid(self, ground: int | None) -> list[Observation]:
         """Return what is known of a mounted camera."""
         return [] if ground is None else self._ride.observations(ground, self._settings)
 
