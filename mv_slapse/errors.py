@@ -17,3 +17,11 @@ class UnusableInput(MvSlapseError):  # noqa: N818 (the input is at fault, no err
     """A video, bag or camera file that cannot be used."""
 
     exit_code = 3
+
+
+class MissingKernels(MvSlapseError):  # noqa: N818 (as above: the installation is incomplete)
+    """The compiled module is not installed, or does not fit this Python."""
+
+    exit_code = 3
+    cure = ('run `make setup` in the clone, or build the workspace again with colcon, or install '
+            'mv_slapse again with pip; each needs CMake, a C++ compiler and pybind11')

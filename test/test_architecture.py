@@ -16,18 +16,20 @@ ROS = ('rclpy', 'rcl_interfaces', 'builtin_interfaces', 'std_msgs', 'std_srvs', 
        'nav_msgs', 'sensor_msgs', 'visualization_msgs', 'diagnostic_msgs', 'tf2_msgs', 'tf2_ros',
        'foxglove_msgs', 'ffmpeg_image_transport_msgs', 'mv_slapse_msgs', 'ament_index_python')
 HOME = {**dict.fromkeys(ROS, 'nodes'), 'launch': 'launch', 'launch_ros': 'launch', 'av': 'codec',
-        'rosbags': 'storage', 'mcap': 'storage', 'argparse': 'tools'}
+        'rosbags': 'storage', 'mcap': 'storage', 'argparse': 'tools',
+        'mv_slapse_kernels': 'kernels'}
 ROOMS = ('codec', 'motion', 'surfaces', 'movers', 'extraction', 'filters', 'scene', 'obstacles')
-CORE = ('geometry', *ROOMS, 'pipeline')
+CORE = ('kernels', 'geometry', *ROOMS, 'pipeline')
 NOT_IN_CORE = {'time', 'datetime', 'random', 'threading', 'multiprocessing', 'logging'}
 BASE = {'config', 'errors', 'records'}
-LOW = {*BASE, 'geometry'}
+LOW = {*BASE, 'kernels', 'geometry'}
 # What each part may import of this package; a part that is not listed may import everything.
 BELOW = {
     'errors': set(),
     'records': set(),
     'config': {'errors'},
-    'geometry': BASE,
+    'kernels': {'errors'},
+    'geometry': {*BASE, 'kernels'},
     'codec': LOW,
     'motion': LOW,
     'surfaces': {*LOW, 'motion'},

@@ -1,0 +1,11 @@
+// The Python module: every stage adds its kernels to it. A stage is one .cpp file.
+
+#include <pybind11/pybind11.h>
+
+void bind_small(pybind11::module_& module);
+
+PYBIND11_MODULE(mv_slapse_kernels, module) {
+  module.doc() = "Kernels of mv_slapse: pure functions of arrays, without state or threads.";
+  module.attr("sanitized") = SANITIZED;
+  bind_small(module);
+}
