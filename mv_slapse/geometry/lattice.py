@@ -1,6 +1,6 @@
 """The lattice of macroblocks: which cell a pixel lies in, and which blocks belong together."""
 
-from mv_slapse.geometry.blocks import CELL, MACROBLOCK, macroblock_of
+from mv_slapse.geometry.blocks import CELL, MACROBLOCK
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 
