@@ -1,8 +1,8 @@
 """The lattice of macroblocks: which cell a pixel lies in, and which blocks belong together."""
 
-from mv_slapse.geometry.blocks import CELL, MACROBLOCK, macroblock_of
+from mv_slapse.geometry.blocks import CELL, MACROBLOCK
+from mv_slapse.kernels.binding import compiled
 import numpy as np
-from scipy import ndimage
 
 
 def cells(x: np.ndarray, shape: tuple[int, int], size: int = CELL) -> tuple:
@@ -40,31 +40,18 @@ def lookup(grid: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def count_macroblocks(x: np.ndarray) -> int:
     """Return in how many macroblocks pixels (N, 2) lie."""
-    cell = macroblock_of(x)
-    return len(np.unique(cell[:, 1] * 65536 + cell[:, 0]))
+    return compiled.count_macroblocks(np.ascontiguousarray(x, float))
 
 
 def components(x: np.ndarray, reach: int = 1) -> np.ndarray:
     """Return for each block (N, 2) the number of its connected component, from 0.
 
-    Blocks are connected over gaps of up to ``2 * reach`` macroblocks.
+    Blocks are connected over gaps of up to ``2 * reach`` macroblocks. Components are numbered in
+    the order of their first macroblocks, row by row.
     """
-    if not len(x):
-        return np.zeros(0, int)
-    cell = macroblock_of(x)
-    cell -= cell.min(axis=0)
-    occupied = np.zeros(cell.max(axis=0)[::-1] + 1 + 2 * reach, bool)
-    at = (cell[:, 1] + reach, cell[:, 0] + reach)
-    occupied[at] = True
-    grown = ndimage.binary_dilation(occupied, np.ones((2 * reach + 1, 2 * reach + 1)))
-    return ndimage.label(grown, np.ones((3, 3)))[0][at] - 1
+    return compiled.components(np.ascontiguousarray(x, float), reach)
 
 
 def largest_components(x: np.ndarray, smallest: int, reach: int = 1) -> np.ndarray:
     """Return the mask of blocks in components of at least ``smallest`` macroblocks."""
-    component = components(x, reach)
-    keep = np.zeros(len(x), bool)
-    for i in range(component.max(initial=-1) + 1):
-        member = component == i
-        keep |= member & (count_macroblocks(x[member]) >= smallest)
-    return keep
+    return compiled.largest_components(np.ascontiguousarray(x, float), smallest, reach)
