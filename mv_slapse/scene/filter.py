@@ -211,8 +211,7 @@ class SceneFilter:
         self._sway(dt)
         if self._is_tied:
             # Where nothing else carries the scale the planes do, and stay as they are.
-            for id in state.planes:
-                scene_state.renew(state, id, settings.relief)
+            scene_state.renew(state, settings.relief)
         ground = self._map.ground
         if ground in state.planes:
             # The road bends below the vehicle, so about its place; a vehicle's camera rides some
@@ -358,7 +357,8 @@ class SceneFilter:
                                                  motion.t_cur_from_prev)
         return replace(self._settings, dependence=self._dependence.value)
 
-    def _gauge(self, baseline: float, first: bool, way: Way | None, told: bool) -> list[Observation]:
+    def _gauge(self, baseline: float, first: bool, way: Way | None,
+               told: bool) -> list[Observation]:
         """Return the length of the first baseline, which is the unit, or the guess after a rest.
 
         Or of any by its speed. Where nothing has told one it stays about as predicted: directions

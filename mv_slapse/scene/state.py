@@ -346,17 +346,20 @@ def move_anchor(state: SceneState, id: int, anchor: np.ndarray):
     ekf.predict_rows(state.error, np.arange(at.start, at.stop), F, np.zeros((3, 3)))
 
 
-def renew(state: SceneState, id: int, relief: float):
-    """Let a plane change as the camera moves on and sees another part of the surface.
+def renew(state: SceneState, relief: float):
+    """Let all planes change as the camera moves on and sees other parts of the surfaces.
 
-    Its depth walks by ``relief``, a share of it, while the camera moves by its distance from the
-    plane: a surface is no plane, and each part of it departs by so much.
+    Their depths walk by ``relief``, a share of them, while the camera moves by its distance from
+    the plane: a surface is no plane, and each part of it departs by so much.
     """
-    at, known, offset = state.at(id), state.planes[id], state.current.t - state.planes[id].anchor
-    distance = abs(1 + known.plane @ offset) / np.linalg.norm(known.plane)
+    _, plane, anchor = state.arrays
+    above = 1 + np.sum(plane * (state.current.t - anchor), axis=1)
+    distance = np.abs(above) / np.sqrt(np.sum(plane * plane, axis=1))
     way = np.linalg.norm(state.current.t - state.previous.t)
-    share = way / max(way, distance)
-    state.error.P[at, at] += share * relief**2 * np.outer(known.plane, known.plane)
+    share = way / np.maximum(way, distance)
+    at = state.size - plane.size + np.arange(plane.size).reshape(-1, 3)
+    state.error.P[at[:, :, None], at[:, None]] += (
+        relief**2 * share[:, None, None] * plane[:, :, None] * plane[:, None])
 
 
 def bend(state: SceneState, id: int, sigma: float):

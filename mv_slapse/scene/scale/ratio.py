@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
-from mv_slapse.geometry import epipolar, rotation, two_view
+from mv_slapse.geometry import rotation, two_view
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import CameraMotion, Extraction
 from mv_slapse.scene.gating import RATIO_GATE
 from mv_slapse.scene.observations import Kind, Observation
@@ -64,13 +65,8 @@ class Depths:
 def depths_of(pair: two_view.Pair, motion: CameraMotion, settings: SceneSettings) -> Depths:
     """Return what the stationary blocks of a pair (N,) tell, none more than its relief lets it."""
     R, t = motion.R_cur_from_prev, motion.t_cur_from_prev
-    rho, J = epipolar.inverse_depth_jacobian(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
-    sigma = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)[1] * pair.sigma
-    sure = sigma < MAX_SPREAD * rho
-    slope = np.zeros(6)
-    if sure.any():
-        weight = 1 / (np.square(sigma[sure] / rho[sure]) + settings.relief**2)
-        slope = weight @ (J[sure] / rho[sure, None]) / weight.sum()
+    slope = compiled.depth_slope(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, R, t,
+                                 MAX_SPREAD, settings.relief)
     slope[3:] -= t * (t @ slope[3:])
     return Depths(R, t, slope, float(slope @ motion.covariance @ slope) * settings.dependence)
 
