@@ -232,7 +232,7 @@ void take_bias(Equations<9>& of, const Vec3& plane, double bias) {
   if (bias == 0) return;
   double column[9], own = 1 / (bias * bias), right = 0;
   for (int r = 0; r < 9; ++r)
-    column[r] = of.A[9 * r + 6] * plane[0] + of.A[9 * r + 7] * plane[1] + of.A[9 * r + 8] * plane[2];
+    column[r] = dot({of.A[9 * r + 6], of.A[9 * r + 7], of.A[9 * r + 8]}, plane);
   for (int k = 0; k < 3; ++k) {
     own += plane[k] * column[6 + k];
     right += plane[k] * of.b[6 + k];

@@ -16,8 +16,8 @@ struct TwoView {
   double fx, fy;  // px
 };
 
-// Correspondences by column, padded to whole lanes by ones that count nothing. Rays are (x, y, 1) in
-// camera k and (u, v, 1) in camera k-1, with a standard deviation of (u, v) [px].
+// Correspondences by column, padded to whole lanes by ones that count nothing. Rays are (x, y, 1)
+// in camera k and (u, v, 1) in camera k-1, with a standard deviation of (u, v) [px].
 class Blocks {
  public:
   void reserve(std::size_t n);
