@@ -29,18 +29,6 @@ void Blocks::pad() {
   }
 }
 
-Blocks blocks_of(const double* rays_cur, const double* rays_prev, const double* sigma,
-                 std::size_t n, const bool* use) {
-  Blocks out;
-  out.reserve(n);
-  for (std::size_t i = 0; i < n; ++i)
-    if (!use || use[i])
-      out.add(rays_cur[3 * i], rays_cur[3 * i + 1], rays_prev[3 * i], rays_prev[3 * i + 1],
-              sigma[i]);
-  out.pad();
-  return out;
-}
-
 double median(std::vector<double>& values) {
   const auto half = values.begin() + values.size() / 2;
   std::nth_element(values.begin(), half, values.end());
@@ -109,7 +97,8 @@ Equations<6> epipolar_terms(const Blocks& blocks, const TwoView& view, double wi
     const Four3 tilt{prev.x - ratio * lx, prev.y - ratio * ly, prev.z};
     const Four3 by_c = inverse * (view.R * tilt);
     const Four3 w = cross(by_c, line.c), t = cross(by_c, x);
-    const Four scaled = line.error / sigma, m2 = scaled * scaled, kernel = 1.0 / (1.0 + m2 * shrink);
+    const Four scaled = line.error / sigma, m2 = scaled * scaled;
+    const Four kernel = 1.0 / (1.0 + m2 * shrink);
     const Four shown = counts * kernel * kernel, weight = shown / (sigma * sigma);
     const Four off = weight * line.error;
     const Four J[6] = {w.x, w.y, w.z, t.x, t.y, t.z};
@@ -243,7 +232,7 @@ void take_bias(Equations<9>& of, const Vec3& plane, double bias) {
   if (bias == 0) return;
   double column[9], own = 1 / (bias * bias), right = 0;
   for (int r = 0; r < 9; ++r)
-    column[r] = of.A[9 * r + 6] * plane[0] + of.A[9 * r + 7] * plane[1] + of.A[9 * r + 8] * plane[2];
+    column[r] = dot({of.A[9 * r + 6], of.A[9 * r + 7], of.A[9 * r + 8]}, plane);
   for (int k = 0; k < 3; ++k) {
     own += plane[k] * column[6 + k];
     right += plane[k] * of.b[6 + k];
@@ -307,21 +296,20 @@ double normal_equations(const std::vector<Blocks>& groups, const TwoView& view,
 
 void bind_two_view(pybind11::module_& module) {
   using namespace kernels;
-  // relief, width, across, along, bias, offset: see PlaneNoise and Joint.
+  // index: plane of each, -1 on none; options: relief, width, across, along, bias, offset of Joint
   module.def("normal_equations", [](const py::object& rays_cur, const py::object& rays_prev,
-                                    const py::object& sigma, const py::object& index,
-                                    const py::object& focal, const py::object& R,
-                                    const py::object& t, const py::object& planes,
+                                    const py::object& sigma, const py::object& focal,
+                                    const py::object& R, const py::object& t,
+                                    const py::object& index, const py::object& planes,
                                     const py::object& options) {
     const char* kernel = "normal_equations";
     const PairArrays pair(kernel, rays_cur, rays_prev, sigma);
     const In<double> of(kernel, "planes", planes, {ANY, 3}, Check::finite);
-    const In<double> o(kernel, "options", options, {6}, Check::finite);
     const auto n = 6 + 3 * of.size();
     Out<double> A({n, n}), b({n});
-    const double cost = normal_equations(
-        pair.groups(kernel, index, py::none(), static_cast<int>(of.size())), two_view(kernel, R, t, focal),
-        of.data(), {{o[0], o[1], o[2], o[3]}, o[4], o[5]}, A.data(), b.data());
+    const double cost = normal_equations(pair.groups(kernel, index, static_cast<int>(of.size())),
+                                         two_view(kernel, R, t, focal), of.data(),
+                                         joint_of(kernel, options), A.data(), b.data());
     return py::make_tuple(A.array(), b.array(), cost);
   });
 }

@@ -16,8 +16,8 @@ struct TwoView {
   double fx, fy;  // px
 };
 
-// Correspondences by column, padded to whole lanes by ones that count nothing. Rays are (x, y, 1) in
-// camera k and (u, v, 1) in camera k-1, with a standard deviation of (u, v) [px].
+// Correspondences by column, padded to whole lanes by ones that count nothing. Rays are (x, y, 1)
+// in camera k and (u, v, 1) in camera k-1, with a standard deviation of (u, v) [px].
 class Blocks {
  public:
   void reserve(std::size_t n);
@@ -31,10 +31,6 @@ class Blocks {
  private:
   std::size_t count_ = 0;
 };
-
-// The columns of `rays_cur` and `rays_prev` (N, 3) and of `sigma` (N,); those of `use` where given.
-Blocks blocks_of(const double* rays_cur, const double* rays_prev, const double* sigma,
-                 std::size_t n, const bool* use = nullptr);
 
 // Normal equations A d = b with their cost: sums over the lower triangle, mirrored in the end.
 template <int N>

@@ -23,40 +23,48 @@ inline TwoView two_view(const char* kernel, const py::object& R, const py::objec
   return view;
 }
 
-// Rays (N, 3) with last coordinate 1, standard deviations (N,) [px]; `use` is None or (N,) bool.
+// Rays (N, 3) with last coordinate 1, standard deviations (N,) [px].
 struct PairArrays {
   PairArrays(const char* kernel, const py::object& cur, const py::object& prev,
              const py::object& noise)
       : rays_cur(kernel, "rays_cur", cur, {ANY, 3}, Check::finite),
         rays_prev(kernel, "rays_prev", prev, {rays_cur.size(), 3}, Check::finite),
-        sigma(kernel, "sigma", noise, {rays_cur.size()}, Check::finite) {}
+        sigma(kernel, "sigma", noise, {rays_cur.size()}, Check::finite) {
+    for (py::ssize_t i = 0; i < rays_cur.size(); ++i)
+      require(rays_cur(i, 2) == 1 && rays_prev(i, 2) == 1, kernel, "rays must end with 1");
+  }
 
-  Blocks blocks(const char* kernel, const py::object& use) const {
-    return blocks_of(rays_cur.data(), rays_prev.data(), sigma.data(), size(),
-                     masked(kernel, use));
+  Blocks blocks() const {
+    Blocks out;
+    out.reserve(size());
+    for (std::size_t i = 0; i < size(); ++i) add(i, out);
+    out.pad();
+    return out;
   }
-  const bool* masked(const char* kernel, const py::object& use) const {  // lives as long as `use`
-    return use.is_none() ? nullptr : In<bool>(kernel, "use", use, {rays_cur.size()}).data();
-  }
-  // By the plane that each lies on, of `n_planes`; those on none first.
-  std::vector<Blocks> groups(const char* kernel, const py::object& index, const py::object& use,
-                             int n_planes) const {
+  // By the plane that each lies on, of `n_planes`; those on none (-1) first. -2 is left out.
+  std::vector<Blocks> groups(const char* kernel, const py::object& index, int n_planes) const {
     const In<std::int64_t> plane(kernel, "index", index, {rays_cur.size()});
-    const bool* mask = masked(kernel, use);
     std::vector<Blocks> out(n_planes + 1);
     for (std::size_t i = 0; i < size(); ++i) {
-      if (mask && !mask[i]) continue;
       require(plane[i] < n_planes, kernel, "index names a plane that is not given");
-      out[plane[i] < 0 ? 0 : plane[i] + 1].add(rays_cur(i, 0), rays_cur(i, 1), rays_prev(i, 0),
-                                               rays_prev(i, 1), sigma[i]);
+      if (plane[i] >= -1) add(i, out[plane[i] + 1]);
     }
     for (auto& group : out) group.pad();
     return out;
+  }
+  void add(std::size_t i, Blocks& to) const {
+    to.add(rays_cur(i, 0), rays_cur(i, 1), rays_prev(i, 0), rays_prev(i, 1), sigma[i]);
   }
   std::size_t size() const { return static_cast<std::size_t>(rays_cur.size()); }
 
   In<double> rays_cur, rays_prev, sigma;
 };
+
+// (relief, width, across, along, bias, offset)
+inline Joint joint_of(const char* kernel, const py::object& options) {
+  const In<double> o(kernel, "options", options, {6}, Check::finite);
+  return {{o[0], o[1], o[2], o[3]}, o[4], o[5]};
+}
 
 template <typename T, std::size_t N>
 py::array_t<double> matrix_of(const std::array<T, N>& values,

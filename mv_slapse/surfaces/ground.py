@@ -196,7 +196,7 @@ def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior:
         Of all blocks, (N,).
     sigma : (N,) array
         Standard deviation of a coordinate [px].
-    evidence : labeling.Evidence
+    evidence : BlockObservations
     lone : (N,) bool array
         Vectors that no neighbour supports.
     prior : GroundPrior
