@@ -338,7 +338,7 @@ py::tuple scene_update(const py::object& camera, const py::object& planes,
     const In<double> focal(kernel, "focal", columns[4], {2}, Check::finite);
     fx = focal[0];
     fy = focal[1];
-    groups = arrays.groups(kernel, columns[3], py::none(), static_cast<int>(at.size()));
+    groups = arrays.groups(kernel, columns[3], static_cast<int>(at.size()));
   }
   Matrix e(first.data(), first.data() + n);
   Out<double> P({n, n}), lasting({n, N_LASTING});
