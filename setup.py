@@ -27,7 +27,7 @@ NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker', 'all_in_one'
 PROGRAM = 'mv_slapse = mv_slapse.__main__:main'
 REQUIREMENTS = ['av>=10', 'matplotlib>=3.6', 'mcap>=1', 'numpy>=1.26',
                 'opencv-python-headless>=4.6,<5', 'pyyaml>=6', 'rosbags>=0.10', 'scipy>=1.11',
-                'threadpoolctl>=3.5', 'tqdm>=4']
+                'tqdm>=4']
 HERE = Path(__file__).resolve().parent
 BY_COLCON = 'install' in sys.argv or '--editable' in sys.argv
 LAUNCHER = """#!/bin/sh

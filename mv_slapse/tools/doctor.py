@@ -16,7 +16,7 @@ LIBRARIES = (('numpy', 'numpy', '1.26'), ('scipy', 'scipy', '1.11'),
              ('cv2', '"opencv-python-headless<5"', '4.6'), ('av', 'av', '10'),
              ('rosbags', 'rosbags', '0.10'), ('mcap', 'mcap', '1.0'),
              ('matplotlib', 'matplotlib', '3.6'), ('tqdm', 'tqdm', '4.0'),
-             ('threadpoolctl', 'threadpoolctl', '3.1'), ('yaml', 'pyyaml', '6.0'))
+             ('yaml', 'pyyaml', '6.0'))
 SHIFT = 3  # px that the picture moves in each frame of the test clip
 RATE = 10.0  # Hz, of that clip
 GET_ROS = 'source /opt/ros/jazzy/setup.sh, or run `make setup` (x86-64)'
