@@ -190,12 +190,24 @@ def grown(windows: Windows, which: np.ndarray, depths: Depths, up: np.ndarray, s
     rays, rho = depths.rays.T / depths.sigma, depths.rho / depths.sigma
     terms = _terms(depths) / np.square(depths.sigma)[:, None]
     for width in (2.0, *[1.0] * (steps - 1)):
-        squared = np.square(planes @ rays + rho)
-        A, b = _equations((near / np.square(1 + squared / width**2)) @ terms)
+        weight = _squared(planes, rays, rho)
+        weight /= width**2
+        weight += 1
+        np.square(weight, out=weight)
+        A, b = _equations(np.divide(near, weight, out=weight) @ terms)
         covariance = np.linalg.inv(A)
         planes = upright(np.einsum('nij,nj->ni', covariance, b), covariance, up)[0]
-    squared = np.square(planes @ rays + rho)
-    return planes, np.where(near, squared, np.inf).T
+    squared = _squared(planes, rays, rho)
+    squared[~near] = np.inf
+    return planes, squared.T
+
+
+def _squared(planes: np.ndarray, rays: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """Return squared errors (H, N) on planes (H, 3) of rays (3, N) and rho (N,) over sigma."""
+    # In place: each further array of this size costs as much as a sum.
+    squared = planes @ rays
+    squared += rho
+    return np.square(squared, out=squared)
 
 
 def upright(planes: np.ndarray, covariance: np.ndarray, up: np.ndarray):
