@@ -3,6 +3,7 @@
 from dataclasses import replace
 import itertools
 
+from mv_slapse.blas import one_thread
 from mv_slapse.config import ExtractionSettings, USUAL_HEIGHT
 from mv_slapse.extraction.pair_estimate import Found, labels, observations
 from mv_slapse.extraction.state import Memory
@@ -56,6 +57,7 @@ class PlaneExtractor:
             settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
             settings.max_planes, settings.max_uncertainty)
 
+    @one_thread
     def extract(self, correspondences: Correspondences) -> Extraction:
         """Extract what one key frame pair shows; figure 1 of [MVO], top.
 

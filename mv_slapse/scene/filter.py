@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from mv_slapse.blas import one_thread
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import rotation, two_view
 from mv_slapse.records import (
@@ -70,6 +71,7 @@ class SceneFilter:
         self._dependence = Dependence(settings.dependence)
         self._speeds = SpeedLog()
 
+    @one_thread
     def step(self, extraction: Extraction, handovers: Sequence[PlaneHandover] = (),
              speeds: Sequence[Speed] = ()):
         """Take in one key frame pair.

@@ -145,9 +145,9 @@ def _terms(depths: Depths) -> np.ndarray:
 
 def _equations(sums: np.ndarray):
     """Return A (H, 3, 3), never singular, and b (H, 3) from sums of terms (H, 12)."""
-    A = sums[:, :9].reshape(-1, 3, 3).astype(float)
-    ridge = 10 * np.finfo(sums.dtype).eps * np.trace(A, axis1=1, axis2=2) + 1e-12
-    return A + ridge[:, None, None] * np.eye(3), sums[:, 9:].astype(float)
+    A = sums[:, :9].reshape(-1, 3, 3)
+    ridge = 10 * np.finfo(float).eps * np.trace(A, axis1=1, axis2=2) + 1e-12
+    return A + ridge[:, None, None] * np.eye(3), sums[:, 9:]
 
 
 def _noise(squared: np.ndarray) -> float:
@@ -187,16 +187,27 @@ def grown(windows: Windows, which: np.ndarray, depths: Depths, up: np.ndarray, s
     planes, centres = windows.planes[which], windows.centres[which]
     near = np.abs(centres[:, [0]] - depths.x[:, 0]) < REACH
     near &= np.abs(centres[:, [1]] - depths.x[:, 1]) < REACH
-    scale = (1 / depths.sigma).astype(np.float32)
-    rays, rho = (depths.rays.T * scale).astype(np.float32), (depths.rho * scale).astype(np.float32)
-    terms = (_terms(depths) * np.square(scale)[:, None]).astype(np.float32)
+    rays, rho = depths.rays.T / depths.sigma, depths.rho / depths.sigma
+    terms = _terms(depths) / np.square(depths.sigma)[:, None]
     for width in (2.0, *[1.0] * (steps - 1)):
-        squared = np.square(planes.astype(np.float32) @ rays + rho)
-        A, b = _equations((near / np.square(1 + squared / np.float32(width**2))) @ terms)
+        weight = _squared(planes, rays, rho)
+        weight /= width**2
+        weight += 1
+        np.square(weight, out=weight)
+        A, b = _equations(np.divide(near, weight, out=weight) @ terms)
         covariance = np.linalg.inv(A)
         planes = upright(np.einsum('nij,nj->ni', covariance, b), covariance, up)[0]
-    squared = np.square(planes.astype(np.float32) @ rays + rho)
-    return planes, np.where(near, squared, np.float32(np.inf)).T
+    squared = _squared(planes, rays, rho)
+    squared[~near] = np.inf
+    return planes, squared.T
+
+
+def _squared(planes: np.ndarray, rays: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """Return squared errors (H, N) on planes (H, 3) of rays (3, N) and rho (N,) over sigma."""
+    # In place: each further array of this size costs as much as a sum.
+    squared = planes @ rays
+    squared += rho
+    return np.square(squared, out=squared)
 
 
 def upright(planes: np.ndarray, covariance: np.ndarray, up: np.ndarray):
