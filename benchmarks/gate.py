@@ -169,8 +169,7 @@ def text(before: dict[str, Any], after: dict[str, Any]) -> str:
         if x is not None and y is not None:
             lines.append(f'  {measure.name:18} {_shown(x, measure):>9} -> {_shown(y, measure):>9}'
                          + (f'  x {exp(y - x):.3f}' if measure.combine is log_mean else ''))
-    same = sum(a[name].items() - {('cpu_ms', a[name].get('cpu_ms'))}
-               <= b[name].items() for name in common if _is_flat(a[name], b[name]))
+    same = sum(a[name] | {'cpu_ms': 0} == b[name] | {'cpu_ms': 0} for name in common)
     lines += [f'  rows without any difference: {same} of {len(common)}', '',
               'groups that differ by more than half their scatter (+: worse, in scatters)']
     for change in sorted(found, key=lambda change: -change.worse):
@@ -186,10 +185,6 @@ def text(before: dict[str, Any], after: dict[str, Any]) -> str:
 def _errors(before: Rows, after: Rows) -> list[str]:
     return [f'! {name}: {figures["error"]}' for name, figures in after.items()
             if 'error' in figures and 'error' not in before[name]]
-
-
-def _is_flat(*figures: Figures) -> bool:
-    return not any(isinstance(item, list | dict) for one in figures for item in one.values())
 
 
 def _deviation(values: list[float]) -> float:
