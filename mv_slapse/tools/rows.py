@@ -31,8 +31,8 @@ from mv_slapse.tools.run import decode, Decoded, replay
 PACKAGE = Path(__file__).resolve().parents[1]
 # What pictures and correspondences depend on, below the package.
 OF_PICTURES = ('simulation', 'codec/encoder.py')
-OF_VECTORS = ('codec', 'kernels', 'geometry/blocks.py', 'geometry/camera.py',
-              'geometry/rotation.py')
+OF_VECTORS = ('codec', 'geometry/blocks.py', 'geometry/camera.py', 'geometry/rotation.py')
+KERNELS = 'kernels'  # counted among them where the codec calls them
 NOT_MEASURED = ('nodes', 'launch')  # what no figure depends on
 THREADS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 DIGITS = 6  # of the figures that are kept
@@ -69,7 +69,7 @@ class Cache:
         video = sha256(case.video.read_bytes()).hexdigest()
         file = self.folder / 'decoded' / (_slug(
             case.name, video, repr(case.camera), repr(settings.decoder), repr(columns),
-            _said(OF_VECTORS)) + '.pickle')
+            _said(_of_vectors())) + '.pickle')
         if not file.exists():
             _write(file, pickle.dumps(decode(case.video, case.camera, settings)))
         return pickle.loads(file.read_bytes())
@@ -190,6 +190,11 @@ def _slug(name: str, *content: str) -> str:
     """Return a name of a file that differs where any of its content does."""
     digest = sha256('\n'.join(content).encode()).hexdigest()[:12]
     return f'{re.sub("[^A-Za-z0-9]+", "-", name)}-{digest}'
+
+
+def _of_vectors() -> tuple[str, ...]:
+    calls = any(KERNELS in file.read_text() for file in (PACKAGE / 'codec').glob('*.py'))
+    return (*OF_VECTORS, KERNELS) if calls else OF_VECTORS
 
 
 @remembered
