@@ -167,7 +167,7 @@ def text(before: dict[str, Any], after: dict[str, Any]) -> str:
     for measure in MEASURES:
         x, y = total(a, measure), total(b, measure)
         if x is not None and y is not None:
-            lines.append(f'  {measure.name:18} {_shown(x, measure):>9} -> {_shown(y, measure):>9}'
+            lines.append(f'  {measure.name:18} {shown(x, measure):>9} -> {shown(y, measure):>9}'
                          + (f'  x {exp(y - x):.3f}' if measure.combine is log_mean else ''))
     same = sum(a[name] | {'cpu_ms': 0} == b[name] | {'cpu_ms': 0} for name in common)
     lines += [f'  rows without any difference: {same} of {len(common)}', '',
@@ -175,8 +175,8 @@ def text(before: dict[str, Any], after: dict[str, Any]) -> str:
     for change in sorted(found, key=lambda change: -change.worse):
         if abs(change.worse) > 0.5:
             lines.append(f'{"! " if change.is_flagged else "  "}{change.group:32} '
-                         f'{change.measure.name:18} {_shown(change.before, change.measure):>9} -> '
-                         f'{_shown(change.after, change.measure):>9}  {change.worse:+.1f}')
+                         f'{change.measure.name:18} {shown(change.before, change.measure):>9} -> '
+                         f'{shown(change.after, change.measure):>9}  {change.worse:+.1f}')
     flagged = sum(change.is_flagged for change in found)
     return '\n'.join([*lines, '', f'{flagged} of {len(found)} figures of groups are worse by more '
                       f'than {TIMES_SCATTER:g} times the scatter'])
@@ -192,7 +192,8 @@ def _deviation(values: list[float]) -> float:
     return sqrt(sum((one - middle)**2 for one in values) / (len(values) - 1))
 
 
-def _shown(figure: float, measure: Measure) -> str:
+def shown(figure: float, measure: Measure) -> str:
+    """Return a figure of a group as text."""
     if measure.combine is log_mean:
         return f'{exp(figure):.4f}'
     return f'{figure:.3f}' if isinstance(figure, float) else str(figure)

@@ -33,7 +33,8 @@ PACKAGE = Path(__file__).resolve().parents[1]
 OF_PICTURES = ('simulation', 'codec/encoder.py')
 OF_VECTORS = ('codec', 'geometry/blocks.py', 'geometry/camera.py', 'geometry/rotation.py')
 KERNELS = 'kernels'  # counted among them where the codec calls them
-NOT_MEASURED = ('nodes', 'launch')  # what no figure depends on
+NOT_MEASURED = ('nodes', 'launch', 'tools')  # what no figure depends on, but for
+TOOLS = tuple(f'tools/{name}.py' for name in ('cases', 'altered', 'eval', 'run'))
 THREADS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 DIGITS = 6  # of the figures that are kept
 
@@ -104,18 +105,20 @@ class Pool:
 
 
 def measure_all(scenes: Sequence[Scene], cache: Cache, pool: Pool,
-                tell: Callable[[str, Figures], None] | None = None) -> dict[str, Figures]:
+                tell: Callable[[str, Figures], None] | None = None,
+                choose: Callable[[Scene, list[Case]], list[Case]] = lambda scene, cases: cases
+                ) -> dict[str, Figures]:
     """Return the figures of each row by its name, in the order of the scenes.
 
     Rows whose figures the cache has are not measured again. ``tell`` is called with each row as it
-    is done.
+    is done; ``choose`` returns which of a scene's rows are measured.
     """
     with pool.executor() as executor:
         prepared = {executor.submit(cache.cases, scene): scene for scene in scenes}
         names: dict[str, list[str]] = {}
         rows = []
         for future in as_completed(prepared):
-            cases = future.result()
+            cases = choose(prepared[future], future.result())
             names[prepared[future].name] = [case.name for case in cases]
             rows += [executor.submit(measured, case, cache) for case in cases]
         found = {}
@@ -167,7 +170,7 @@ def rounded(figures: Figures) -> Figures:
 def state_of_code() -> str:
     """Return a name of the code that figures depend on, comments and docstrings apart."""
     return _said(tuple(path.name for path in sorted(PACKAGE.iterdir())
-                       if path.name not in NOT_MEASURED))[:12]
+                       if path.name not in NOT_MEASURED) + TOOLS)[:12]
 
 
 def _start(nice: int, change: Callable[[], None] | None):
