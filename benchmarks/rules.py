@@ -67,8 +67,17 @@ def switch_off(name: str):
                            if name.startswith('mv_slapse')]:
                 for known in [known for known, item in vars(module).items() if item is old]:
                     setattr(module, known, value)
+    rows.measure = partial(_measured_or_failed, rows.measure)
     if rule.settings:
         rows.settings_of = partial(with_settings, rows.settings_of, rule.settings)
+
+
+def _measured_or_failed(measure: Callable, *args: Any) -> dict[str, Any]:
+    """Return the figures of a row; without a rule the core may fail in any way."""
+    try:
+        return measure(*args)
+    except Exception as error:
+        return {'error': repr(error)}
 
 
 def with_settings(make: Callable, values: dict[str, Any], case: Any) -> Any:
