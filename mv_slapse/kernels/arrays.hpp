@@ -45,14 +45,17 @@ class In {
     if ((array_.flags() & good) != good)
       refuse(kernel, says(name, shape, "is not contiguous (use numpy.ascontiguousarray)"));
     data_ = static_cast<const T*>(array_.data());
+    columns_ = array_.ndim() > 1 ? array_.shape(1) : 1;
     if constexpr (std::is_floating_point_v<T>)
-      if (check == Check::finite)
-        for (py::ssize_t i = 0; i < array_.size(); ++i)
-          if (!std::isfinite(data_[i])) refuse(kernel, says(name, shape, "is not finite"));
+      if (check == Check::finite) {
+        bool finite = true;  // without a way out, so that the compiler can take several at a time
+        for (py::ssize_t i = 0, n = array_.size(); i < n; ++i) finite &= std::isfinite(data_[i]);
+        if (!finite) refuse(kernel, says(name, shape, "is not finite"));
+      }
   }
 
   const T& operator[](py::ssize_t i) const { return data_[i]; }
-  const T& operator()(py::ssize_t i, py::ssize_t j) const { return data_[i * array_.shape(1) + j]; }
+  const T& operator()(py::ssize_t i, py::ssize_t j) const { return data_[i * columns_ + j]; }
   const T* data() const { return data_; }
   py::ssize_t size(int axis = 0) const { return array_.shape(axis); }
 
@@ -75,6 +78,7 @@ class In {
 
   py::array array_;
   const T* data_;
+  py::ssize_t columns_;  // looked up once: asking the array for it costs more than the access
 };
 
 // A new array of T for results, zeros at first.
@@ -82,18 +86,20 @@ template <typename T>
 class Out {
  public:
   explicit Out(std::initializer_list<py::ssize_t> shape)
-      : array_(std::vector<py::ssize_t>(shape)), data_(array_.mutable_data()) {
+      : array_(std::vector<py::ssize_t>(shape)), data_(array_.mutable_data()),
+        columns_(array_.ndim() > 1 ? array_.shape(1) : 1) {
     std::fill(data_, data_ + array_.size(), T{});
   }
 
   T& operator[](py::ssize_t i) { return data_[i]; }
-  T& operator()(py::ssize_t i, py::ssize_t j) { return data_[i * array_.shape(1) + j]; }
+  T& operator()(py::ssize_t i, py::ssize_t j) { return data_[i * columns_ + j]; }
   T* data() { return data_; }
   const py::array_t<T>& array() const { return array_; }
 
  private:
   py::array_t<T> array_;
   T* data_;
+  py::ssize_t columns_;
 };
 
 }  // namespace kernels

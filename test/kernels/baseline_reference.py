@@ -7,7 +7,6 @@ from mv_slapse.motion.baseline import (
     MAX_SPREAD,
     MIN_BLOCKS,
     MIN_NEIGHBOURS,
-    RELIEF,
     SAME_SURFACE,
 )
 import numpy as np
@@ -36,7 +35,7 @@ def at(depths, x):
 def sigma_of(depths, near, rho):
     """Return the standard deviation of the blocks near where they have about rho."""
     sigma = depths.noise[near] * np.square(1 - rho * depths.approach)
-    return np.maximum(np.hypot(sigma, RELIEF * rho), 1e-12)
+    return np.maximum(np.hypot(sigma, depths.relief * rho), 1e-12)
 
 
 def _at_origin(x, y, value, weight):
