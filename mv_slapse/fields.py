@@ -157,6 +157,11 @@ def pose_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:
             'pose': _pose_with_covariance(scene, frames)}
 
 
+def pose_with_covariance_from_message(msg: Any) -> Pose:
+    """Return the pose of a geometry_msgs/PoseWithCovarianceStamped, in its own frame."""
+    return _pose_from_message(msg.pose)
+
+
 def pose_from_message(msg: Any, frames: RosFrames) -> Pose:
     """Return the pose in {W} of a geometry_msgs/PoseWithCovarianceStamped in odom."""
     return ros_frames.pose_to_world(_pose_from_message(msg.pose), frames)
@@ -190,11 +195,11 @@ def camera_transform_to_fields(stamp: int, frames: RosFrames) -> Fields:
                       Pose(frames.R_base_from_cam, frames.t_base_from_cam))
 
 
-def plane_map_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:
-    """Return mv_slapse_msgs/PlaneMap in odom."""
+def plane_map_to_fields(scene: SceneEstimate, frames: RosFrames, resets: int = 0) -> Fields:
+    """Return mv_slapse_msgs/PlaneMap in odom, of a trajectory that began anew ``resets`` times."""
     return {'header': header(scene.stamp, frames.odom), 'tracking': int(scene.status),
             'reason': scene.reason, 'scale_status': int(scene.scale_status),
-            'scale_source': scene.scale_source,
+            'scale_source': scene.scale_source, 'resets': int(resets),
             'planes': [_map_plane_to_fields(plane, frames) for plane in scene.planes]}
 
 
@@ -205,16 +210,29 @@ def scene_from_messages(odometry: Any, plane_map: Any, frames: RosFrames,
     ``baseline`` [map unit] is in neither message; it is the distance to the previous pose.
     """
     pose = pose_from_message(odometry, frames)
-    twist = Twist(read_xyz(odometry.twist.twist.linear, 'twist.twist.linear'),
-                  read_xyz(odometry.twist.twist.angular, 'twist.twist.angular'),
-                  check.covariance(odometry.twist.covariance, 'twist.covariance', 6))
-    twist = ros_frames.twist_to_world(twist, pose.R, frames)
+    twist = ros_frames.twist_to_world(_twist_from_message(odometry.twist), pose.R, frames)
     return SceneEstimate(
         stamp_from_message(odometry.header.stamp), tracking_from_message(plane_map),
         plane_map.reason, pose.R, pose.t, pose.covariance, twist.linear, twist.angular,
         twist.covariance, check.member(ScaleStatus, plane_map.scale_status, 'scale_status'),
         plane_map.scale_source, tuple(_map_plane_from_message(plane, frames) for plane
                                       in check.count(plane_map.planes, 'planes')), baseline)
+
+
+def check_odometry(msg: Any):
+    """Raise InvalidMessage where a nav_msgs/Odometry says what cannot be."""
+    stamp_from_message(msg.header.stamp)
+    _pose_from_message(msg.pose)
+    _twist_from_message(msg.twist)
+
+
+def check_plane_map(msg: Any):
+    """Raise InvalidMessage where a mv_slapse_msgs/PlaneMap says what cannot be."""
+    stamp_from_message(msg.header.stamp)
+    tracking_from_message(msg)
+    check.member(ScaleStatus, msg.scale_status, 'scale_status')
+    for plane in check.count(msg.planes, 'planes'):
+        _map_plane_from_message(plane, RosFrames())
 
 
 def tracking_from_message(plane_map: Any) -> TrackingStatus:
@@ -357,6 +375,12 @@ def _pose_from_message(msg: Any) -> Pose:
     q = check.quaternion(msg.pose.orientation, 'pose.orientation')
     return Pose(Rotation.from_quat(q).as_matrix(), read_xyz(msg.pose.position, 'pose.position'),
                 check.covariance(msg.covariance, 'pose.covariance', 6))
+
+
+def _twist_from_message(msg: Any) -> Twist:
+    return Twist(read_xyz(msg.twist.linear, 'twist.twist.linear'),
+                 read_xyz(msg.twist.angular, 'twist.twist.angular'),
+                 check.covariance(msg.covariance, 'twist.covariance', 6))
 
 
 def _transform(stamp: int, parent: str, child: str, pose: Pose) -> Fields:

@@ -32,8 +32,8 @@ def refuse(field: str, value: Any, wanted: str):
     """Raise InvalidMessage that names a field and its value."""
     shown = repr(value)
     shown = shown if len(shown) <= MOST_SHOWN else shown[:MOST_SHOWN] + '…'
-    raise InvalidMessage(f'{field} = {shown}: {wanted}; the message is dropped, correct its '
-                         'publisher')
+    raise InvalidMessage(f'{field} = {shown}: {wanted}; '
+                         'the message is dropped, correct its publisher')
 
 
 def member(kind: type[IntEnum], value: Any, field: str) -> Any:
