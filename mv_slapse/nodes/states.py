@@ -59,6 +59,9 @@ CONDITIONS: dict[str, Condition] = {
     'no_camera': Condition(
         Kind.WAITING, CAMERA, 'no camera_info yet', 'start the camera driver, remap camera_info, '
         'or set camera_info_url to a calibration file'),
+    'no_extrinsics': Condition(
+        Kind.WAITING, MOUNTED, 'the camera\'s place on the robot is looked for on /tf_static',
+        'publish it, or set base_from_camera; tf_wait is how long it is waited for'),
     'no_publisher': Condition(
         Kind.WAITING, ALL, 'a topic has no publisher', 'start what publishes it, or remap it'),
     'silent': Condition(
@@ -67,9 +70,6 @@ CONDITIONS: dict[str, Condition] = {
     'no_key_frame': Condition(
         Kind.WAITING, VIDEO, 'packets come, but no key picture yet, with which decoding begins',
         'wait, or have the encoder send one every second or two (-g 30)'),
-    'no_extrinsics': Condition(
-        Kind.WAITING, MOUNTED, 'the camera\'s place on the robot is looked for on /tf_static',
-        'publish it, or set base_from_camera; tf_wait is how long it is waited for'),
     'initialising': Condition(
         Kind.WAITING, SCENE, 'there is no pose yet', 'move the camera'),
     'no_pose': Condition(
