@@ -45,9 +45,10 @@ messages: $(MESSAGES) ## generate the messages of msg_defs into .venv
 
 kernels: $(KERNELS) ## compile the kernels of mv_slapse/kernels into .venv
 
-config: setup ## write config/*.yaml and docs/parameters.md from the settings
+config: setup ## write config/*.yaml, docs/parameters.md and docs/diagnostics.md from the code
 	@$(RUN) python -m mv_slapse.tools.parameter_files config
 	@$(RUN) python -m mv_slapse.tools.parameter_table docs/parameters.md
+	@$(RUN) python -m mv_slapse.tools.state_table docs/diagnostics.md
 
 demo: setup ## render a street with known truth, run everything on it, write out/demo
 	@$(RUN) mv_slapse demo -o out/demo
