@@ -14,6 +14,7 @@ import numpy as np
 WITH_VECTORS = ('h264', 'mpeg2video', 'mpeg1video', 'mpeg4', 'h263', 'flv1')
 MAX_PIXELS = 64_000_000
 LONGEST_REORDERING = 2_000_000_000  # ns; a stamp farther back is a source that began again
+LAST_STAMP = 1 << 61  # ns: 73 years, the range of the stamps of messages, and half of int64
 COPIES = 16  # packets within which a network delivers one twice: half a second
 CURE = ('re-encode it, for instance with: ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 '
         'OUTPUT.mp4, or: ffmpeg -i INPUT -c:v mpeg2video -q:v 3 -bf 3 -g 12 OUTPUT.mpg')
@@ -61,7 +62,15 @@ class FrameDecoder:
         """Return the pictures that this packet makes available.
 
         Damage is a value: what cannot be decoded marks the next picture with the reason.
+
+        Raises
+        ------
+        UnusableInput
+            Where the codec gives no vectors, or the stamp is of no clock.
         """
+        if abs(packet.stamp) > LAST_STAMP:
+            raise UnusableInput(f'a packet has the stamp {packet.stamp} ns, more than {LAST_STAMP} '
+                                'ns from zero; give times in nanoseconds')
         if not packet.data:
             return []  # an empty packet would put FFmpeg into its end state for good
         if packet in self._recent:

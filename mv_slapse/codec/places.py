@@ -30,6 +30,8 @@ class Place:
         The same across sequences, where the stream's time codes are to be trusted.
     time : int or None
         The picture's time by the stream's own clock, in ticks of it.
+    turn : int
+        Where the count turns over to zero; 0 where it is not known.
     reason : str
         Why pictures before this one, in the order of decoding, are missing; else empty.
     references : int or None
@@ -40,6 +42,7 @@ class Place:
     count: int | None = None
     index: int | None = None
     time: int | None = None
+    turn: int = 0
     reason: str = ''
     references: int | None = None
 
@@ -85,7 +88,9 @@ class OrderCount:
         if header.is_idr:
             self._sequence, self._count = self._sequence + 1, -1
         reason = 'a reference picture was lost (gap in frame_num)' if missing else ''
-        return Place(self._sequence, self._next(header, missing), reason=reason,
+        sps = self._headers.sps
+        turn = 1 << (sps.log2_max_frame_num if sps.order_type else sps.order_bits)
+        return Place(self._sequence, self._next(header, missing), turn=turn, reason=reason,
                      references=header.references)
 
     def _next(self, header: SliceHeader, missing: int) -> int | None:
@@ -128,7 +133,8 @@ class GroupPlaces:
         if count < self._pictures - TURN // 2:
             self._turns, count = self._turns + TURN, count + TURN
         self._pictures = max(self._pictures, count + 1)
-        return Place(self._group, count, self._begin + count if self._trust > 0 else None)
+        index = self._begin + count if self._trust > 0 else None
+        return Place(self._group, count, index, turn=TURN)
 
     def _read_rate(self, head: bytes):
         at = head.find(SEQUENCE)
