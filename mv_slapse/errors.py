@@ -17,3 +17,9 @@ class UnusableInput(MvSlapseError):  # noqa: N818 (the input is at fault, no err
     """A video, bag or camera file that cannot be used."""
 
     exit_code = 3
+
+
+class UnusableOutput(MvSlapseError):  # noqa: N818 (the disk is at fault)
+    """A place where results cannot be written: full, read-only or not permitted."""
+
+    exit_code = 3

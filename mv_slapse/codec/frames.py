@@ -69,8 +69,8 @@ class FrameDecoder:
             Where the codec gives no vectors, or the stamp is of no clock.
         """
         if abs(packet.stamp) > LAST_STAMP:
-            raise UnusableInput(f'a packet has the stamp {packet.stamp} ns, more than {LAST_STAMP} '
-                                'ns from zero; give times in nanoseconds')
+            raise UnusableInput(f'a packet has the stamp {packet.stamp} ns, which no clock shows; '
+                                f'give times in nanoseconds, {LAST_STAMP} at most')
         if not packet.data:
             return []  # an empty packet would put FFmpeg into its end state for good
         if packet in self._recent:
