@@ -2,14 +2,17 @@
 
 from collections.abc import Iterator
 from fractions import Fraction
+import os
 from pathlib import Path
+import select
 
 import av
 from mv_slapse.codec.frames import check_codec
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
 
-PROTOCOLS = 'file,rtsp,rtp,udp,tcp,http,https'
+PROTOCOLS = 'rtsp,rtp,udp,tcp,http,https,tls,crypto'
+LOCAL = 'file'  # a playlist from the network must not read files, nor a file's the network
 PATIENCE = 10.0  # s, for a network to answer
 DEFAULT_RATE = Fraction(25)
 NANOSECONDS = 10 ** 9
@@ -113,10 +116,12 @@ def open_source(path_or_url: str | Path) -> Source:
     is_url = '://' in name
     if not is_url:
         _check_file(Path(name))
-    elif name.split('://', 1)[0].lower() not in PROTOCOLS.split(','):
-        raise UnusableInput(f'{name}: protocol not allowed; use one of {PROTOCOLS}')
+    elif _protocol(name) not in (LOCAL, *PROTOCOLS.split(',')):
+        raise UnusableInput(f'{name}: protocol not allowed; use one of {LOCAL},{PROTOCOLS}')
     try:
-        container = av.open(name, **_how_to_open(name, is_url))
+        # Absolute, as FFmpeg takes what stands before a colon for a protocol.
+        place = name if is_url else str(Path(name).absolute())
+        container = av.open(place, **_how_to_open(name, is_url))
     except (av.error.FFmpegError, OSError) as error:
         raise UnusableInput(f'{name} cannot be opened as a video: {error}; give a video file '
                             'that FFmpeg can read, or a stream that is reachable') from error
@@ -128,7 +133,8 @@ def open_source(path_or_url: str | Path) -> Source:
 
 def _how_to_open(name: str, is_url: bool) -> dict:
     """Return the arguments of av.open: a patience for networks, the driver of cameras."""
-    options = {'protocol_whitelist': PROTOCOLS}
+    is_local = not is_url or _protocol(name) == LOCAL
+    options = {'protocol_whitelist': LOCAL if is_local else PROTOCOLS}
     if is_url:
         # UDP loses packets in silence, and a lost packet is a broken pair.
         transport = {'rtsp_transport': 'tcp'} if name.startswith('rtsp') else {}
@@ -152,13 +158,33 @@ def _checked(container, name: str) -> Source:
     return source
 
 
+def _protocol(url: str) -> str:
+    return url.split('://', 1)[0].lower()
+
+
 def _check_file(path: Path):
-    if path.is_dir():
-        raise UnusableInput(f'{path} is a directory; give a video file')
-    if not path.exists():
-        raise UnusableInput(f'{path}: no such file; check the path')
-    if not path.stat().st_size and not path.is_char_device():
-        raise UnusableInput(f'{path} is empty; was the recording finished?')
+    try:
+        if path.is_dir():
+            raise UnusableInput(f'{path} is a directory; give a video file')
+        if not path.exists():
+            raise UnusableInput(f'{path}: no such file; check the path')
+        if path.is_fifo():
+            _check_writer(path)
+        elif not path.stat().st_size and not path.is_char_device():
+            raise UnusableInput(f'{path} is empty; was the recording finished?')
+    except (OSError, ValueError) as error:  # too long a name, one with a zero byte, no permission
+        raise UnusableInput(f'{str(path)[:200]!r} cannot be opened: {error}') from None
+
+
+def _check_writer(fifo: Path):
+    """Wait for a writer of a FIFO, without which opening it to read would never return."""
+    file = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        if not select.select([file], [], [], PATIENCE)[0]:
+            raise UnusableInput(f'{fifo} is a FIFO that nobody has written to for {PATIENCE:.0f} '
+                                's; start the writer first')
+    finally:
+        os.close(file)
 
 
 def _is_interlaced(context) -> bool:

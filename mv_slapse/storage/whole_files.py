@@ -1,7 +1,7 @@
 """Files that are either the old ones or whole: written beside their place, then renamed."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import os
 from pathlib import Path
 from typing import IO
@@ -56,7 +56,5 @@ def unusable(path: str | Path, error: OSError, more: str = '') -> UnusableOutput
 
 
 def _remove(path: Path):
-    try:
+    with suppress(OSError):  # a folder that has gone read-only keeps it
         path.unlink(missing_ok=True)
-    except OSError:
-        pass  # a folder that has gone read-only keeps it

@@ -28,8 +28,8 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-def load(path: str | Path) -> Any:
-    """Return the content of a YAML file.
+def load(path: str | Path, largest: int = LARGEST) -> Any:
+    """Return the content of a YAML file of ``largest`` bytes at most.
 
     Raises
     ------
@@ -39,9 +39,9 @@ def load(path: str | Path) -> Any:
         Where it is no YAML, too large, too deep, or has aliases; the message says which.
     """
     with Path(path).open('rb') as file:
-        content = file.read(LARGEST + 1)
-    if len(content) > LARGEST:
-        raise ValueError(f'it has more than {LARGEST} bytes')
+        content = file.read(largest + 1)
+    if len(content) > largest:
+        raise ValueError(f'it has more than {largest} bytes')
     try:
         loader = _Loader(content.decode())
         try:
