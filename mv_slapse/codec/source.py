@@ -5,6 +5,7 @@ from fractions import Fraction
 import os
 from pathlib import Path
 import select
+from typing import BinaryIO
 
 import av
 from mv_slapse.codec.frames import check_codec
@@ -119,9 +120,7 @@ def open_source(path_or_url: str | Path) -> Source:
     elif _protocol(name) not in (LOCAL, *PROTOCOLS.split(',')):
         raise UnusableInput(f'{name}: protocol not allowed; use one of {LOCAL},{PROTOCOLS}')
     try:
-        # Absolute, as FFmpeg takes what stands before a colon for a protocol.
-        place = name if is_url else str(Path(name).absolute())
-        container = av.open(place, **_how_to_open(name, is_url))
+        container = av.open(_place(name, is_url), **_how_to_open(name, is_url))
     except (av.error.FFmpegError, OSError) as error:
         raise UnusableInput(f'{name} cannot be opened as a video: {error}; give a video file '
                             'that FFmpeg can read, or a stream that is reachable') from error
@@ -158,6 +157,13 @@ def _checked(container, name: str) -> Source:
     return source
 
 
+def _place(name: str, is_url: bool) -> str | BinaryIO:
+    """Return what FFmpeg opens: a path that is absolute, as a colon makes a relative one a URL."""
+    if is_url:
+        return name
+    return _fifo(Path(name)) if Path(name).is_fifo() else str(Path(name).absolute())
+
+
 def _protocol(url: str) -> str:
     return url.split('://', 1)[0].lower()
 
@@ -168,23 +174,22 @@ def _check_file(path: Path):
             raise UnusableInput(f'{path} is a directory; give a video file')
         if not path.exists():
             raise UnusableInput(f'{path}: no such file; check the path')
-        if path.is_fifo():
-            _check_writer(path)
-        elif not path.stat().st_size and not path.is_char_device():
+        is_stream = path.is_char_device() or path.is_fifo()
+        if not path.stat().st_size and not is_stream:
             raise UnusableInput(f'{path} is empty; was the recording finished?')
     except (OSError, ValueError) as error:  # too long a name, one with a zero byte, no permission
         raise UnusableInput(f'{str(path)[:200]!r} cannot be opened: {error}') from None
 
 
-def _check_writer(fifo: Path):
-    """Wait for a writer of a FIFO, without which opening it to read would never return."""
-    file = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
-    try:
-        if not select.select([file], [], [], PATIENCE)[0]:
-            raise UnusableInput(f'{fifo} is a FIFO that nobody has written to for {PATIENCE:.0f} '
-                                's; start the writer first')
-    finally:
-        os.close(file)
+def _fifo(path: Path) -> BinaryIO:
+    """Open a FIFO once it has something to read; without a writer opening would never return."""
+    number = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    if not select.select([number], [], [], PATIENCE)[0]:
+        os.close(number)
+        raise UnusableInput(f'{path} is a FIFO that nobody has written to for {PATIENCE:.0f} s; '
+                            'start the writer first')
+    os.set_blocking(number, True)
+    return os.fdopen(number, 'rb')
 
 
 def _is_interlaced(context) -> bool:

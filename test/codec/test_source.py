@@ -120,7 +120,7 @@ def test_a_fifo_without_a_writer_is_refused(tmp_path, monkeypatch):
 def test_a_fifo_is_read(tmp_path, rng):
     write_video(tmp_path / 'a.mpg', pictures.sliding(rng, 12, (2, 1)), 25)
     os.mkfifo(tmp_path / 'fifo')
-    writer = Thread(target=lambda: (tmp_path / 'fifo').write_bytes(
+    writer = Thread(daemon=True, target=lambda: (tmp_path / 'fifo').write_bytes(
         (tmp_path / 'a.mpg').read_bytes()))
     writer.start()
     with open_source(tmp_path / 'fifo') as source:
