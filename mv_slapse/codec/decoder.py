@@ -91,7 +91,7 @@ class CorrespondenceDecoder:
 
     def _searched(self, segment: Segment) -> Correspondences | None:
         """Search an I frame's macroblocks in the key frame before it; None where that fails."""
-        if not (self._settings.bridge_intra and can_bridge(segment)):
+        if not self._settings.bridge_intra or segment.is_torn or not can_bridge(segment):
             return None
         found = search(segment, self._expect, self._settings)
         pair = average(replace(segment, kind=SegmentKind.PP), found, self._settings)
