@@ -143,7 +143,7 @@ class FrameDecoder:
         if getattr(picture, 'is_corrupt', False):
             damage = damage or 'the decoder calls the picture corrupt'
         exported = picture.side_data.get('MOTION_VECTORS')
-        table = columns(None if exported is None else exported.to_ndarray())
+        table = columns(None if exported is None else np.frombuffer(exported, np.uint8))
         luma = _luma(picture) if self._with_luma and kind is not FrameType.B else None
         return FrameVectors(stamp, kind, picture.width, picture.height, references=references,
                             is_predicted=self._context.name == 'h264', damage=damage, luma=luma,

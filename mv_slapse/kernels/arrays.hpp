@@ -1,6 +1,6 @@
 // Checked views of numpy arrays. A kernel takes `In<float> x{"merge", "x", object, {ANY, 2}}` for
-// each argument: a wrong one raises ValueError with the names of kernel and argument. Arrays are
-// never copied, so that a wrong type is an error at the border instead of a slow call.
+// each argument: a wrong one raises ValueError with the names of kernel and argument. Only arrays
+// that are not contiguous are copied; a wrong type is an error at the border, no slow call.
 
 #pragma once
 
@@ -29,7 +29,7 @@ inline void require(bool good, const char* kernel, const char* what) {
   if (!good) refuse(kernel, what);
 }
 
-// A read-only array of T with a given number of axes, C-contiguous and aligned.
+// A read-only array of T with a given number of axes.
 template <typename T>
 class In {
  public:
@@ -43,7 +43,8 @@ class In {
       refuse(kernel, says(name, shape, "has shape " + std::string(py::str(array_.attr("shape")))));
     constexpr int good = py::array::c_style | py::detail::npy_api::NPY_ARRAY_ALIGNED_;
     if ((array_.flags() & good) != good)
-      refuse(kernel, says(name, shape, "is not contiguous (use numpy.ascontiguousarray)"));
+      array_ = py::array_t<T, py::array::c_style | py::array::forcecast>::ensure(
+          array_.attr("copy")("C"));
     data_ = static_cast<const T*>(array_.data());
     columns_ = array_.ndim() > 1 ? array_.shape(1) : 1;
     if constexpr (std::is_floating_point_v<T>)
@@ -73,7 +74,7 @@ class In {
     std::string text = std::string(name) + " " + what + "; it must be " +
                        std::string(py::str(py::dtype::of<T>())) + " of shape (";
     for (const auto length : shape) text += (length == ANY ? "N" : std::to_string(length)) + ", ";
-    return text + ") in C order";
+    return text + ")";
   }
 
   py::array array_;

@@ -9,6 +9,10 @@ void bind_baseline(pybind11::module_& module);
 void bind_joint(pybind11::module_& module);
 void bind_motion(pybind11::module_& module);
 void bind_observations(pybind11::module_& module);
+void bind_chaining(pybind11::module_& module);
+void bind_evidence(pybind11::module_& module);
+void bind_merging(pybind11::module_& module);
+void bind_motion_prior(pybind11::module_& module);
 void bind_small(pybind11::module_& module);
 void bind_two_view(pybind11::module_& module);
 
@@ -22,6 +26,10 @@ PYBIND11_MODULE(mv_slapse_kernels, module) {
   bind_joint(module);
   bind_motion(module);
   bind_observations(module);
+  bind_chaining(module);
+  bind_evidence(module);
+  bind_merging(module);
+  bind_motion_prior(module);
   bind_small(module);
   bind_two_view(module);
 }
