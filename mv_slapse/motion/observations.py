@@ -62,8 +62,8 @@ class BlockObservations:
 def behind(pair: two_view.Pair, R, t) -> float:
     """Return the share of the blocks, weighed by their parallax, that are behind the camera.
 
-    A block's vote of [MVO] 4.2 (alpha < 90 degrees for a camera that moves forward, >= 90 for one that
-    moves backward) is the sign of (t_xy - x'_prev t_z) . (x_cur - x'_prev): the epipole
+    A block's vote of [MVO] 4.2 (alpha < 90 degrees for a camera that moves forward, >= 90 for one
+    that moves backward) is the sign of (t_xy - x'_prev t_z) . (x_cur - x'_prev): the epipole
     e = t_xy / t_z is kept homogeneous, so that a camera moving sideways has a vote too.
     """
     return compiled.behind(*two_view.columns(pair, R, t))

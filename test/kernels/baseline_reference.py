@@ -94,7 +94,8 @@ def robust_mean(value, sigma, expected=0.0):
     if len(value) < MIN_BLOCKS:
         return BaselineRatio()
     width = 3 * np.maximum(sigma, 0.02)
-    candidates = np.quantile(value, np.linspace(0.05, 0.95, 61))
+    n = min(len(value), 31)
+    candidates = value[np.arange(n) * len(value) // n]
     support = (1 / (1 + np.square((value - candidates[:, None]) / width)) / width).sum(axis=1)
     support /= 1 + np.square((candidates - expected) / CHANGE)
     mean = candidates[np.argmax(support)]

@@ -31,7 +31,8 @@ def moving(R, t):
 
 def seen(pair, rho, unit):
     """Return observations that hold these depths of all blocks."""
-    return replace(observe(pair, moving(np.eye(3), np.array([0, 0, -1.0])), 3.0, 1.0, 0.0), rho=rho, far_sigma=unit,
+    ahead = moving(np.eye(3), np.array([0, 0, -1.0]))
+    return replace(observe(pair, ahead, 3.0, 1.0, 0.0), rho=rho, far_sigma=unit,
                    has_depth=np.ones(len(pair), bool))
 
 
