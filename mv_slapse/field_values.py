@@ -3,9 +3,9 @@
 from typing import Any
 
 from mv_slapse import message_checks as check
+from mv_slapse.geometry.quaternion import from_matrix
 from mv_slapse.records import Correspondences, Extraction, Label, SegmentKind
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 Fields = dict[str, Any]
 POINTS = ('x_cur', 'y_cur', 'x_prev', 'y_prev', 'sigma', 'block_width', 'block_height')
@@ -97,5 +97,5 @@ def read_points(messages: Any) -> np.ndarray:
 
 def quaternion(R: np.ndarray) -> Fields:
     """Return geometry_msgs/Quaternion of a rotation matrix."""
-    x, y, z, w = Rotation.from_matrix(R).as_quat()
+    x, y, z, w = from_matrix(R)
     return {'x': float(x), 'y': float(y), 'z': float(z), 'w': float(w)}

@@ -31,6 +31,7 @@ from mv_slapse.field_values import (
 from mv_slapse.geometry import ros_frames
 from mv_slapse.geometry.calibration import camera_from_calibration
 from mv_slapse.geometry.camera import Camera
+from mv_slapse.geometry.quaternion import to_matrix
 from mv_slapse.geometry.ros_frames import Pose, RosFrames, Twist
 from mv_slapse.records import (
     CameraMotion,
@@ -50,7 +51,6 @@ from mv_slapse.records import (
     TrackingStatus,
 )
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 RATIOS = -50.0, 50.0  # log of a ratio of lengths
 MAX_SPEED = 1000.0  # [m/s] of a vehicle
@@ -373,7 +373,7 @@ def _twist_with_covariance(scene: SceneEstimate, frames: RosFrames) -> Fields:
 
 def _pose_from_message(msg: Any) -> Pose:
     q = check.quaternion(msg.pose.orientation, 'pose.orientation')
-    return Pose(Rotation.from_quat(q).as_matrix(), read_xyz(msg.pose.position, 'pose.position'),
+    return Pose(to_matrix(q), read_xyz(msg.pose.position, 'pose.position'),
                 check.covariance(msg.covariance, 'pose.covariance', 6))
 
 

@@ -147,7 +147,7 @@ def _raw_image(msg: Any) -> np.ndarray:
         raise UnusableInput(f'pictures encoded as {encoding!r} are not supported; publish one '
                             f'of {", ".join(CHANNELS)}')
     size(msg.width, msg.height)
-    data = np.frombuffer(bytes(count(msg.data, 'data', 8 * MAX_BYTES)), np.uint8)
+    data = np.frombuffer(count(msg.data, 'data', 8 * MAX_BYTES), np.uint8)
     if len(data) < msg.height * msg.step or msg.step < msg.width * n:
         raise UnusableInput(f'an Image of {msg.width}x{msg.height} {encoding} has '
                             f'{len(data)} bytes, too few')

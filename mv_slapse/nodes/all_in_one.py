@@ -110,10 +110,13 @@ class AllInOneNode(Shell):
         self.health.set('no_motion', bool(reason), f'the camera\'s motion is not known: {reason}')
 
     def _publish(self, step: Step, frames):
-        self._correspondences.publish(to_message(
-            CorrespondencesMsg, fields.correspondences_to_fields(step.correspondences, frames)))
-        self._observations.publish(to_message(
-            PlaneObservations, fields.extraction_to_fields(step.extraction, frames)))
+        # what stays inside this process is made a message only for who listens
+        if self._correspondences.get_subscription_count():
+            self._correspondences.publish(to_message(CorrespondencesMsg, (
+                fields.correspondences_to_fields(step.correspondences, frames))))
+        if self._observations.get_subscription_count():
+            self._observations.publish(to_message(
+                PlaneObservations, fields.extraction_to_fields(step.extraction, frames)))
         self._handovers.publish(step.handovers, frames)
         self._scene.publish(step.scene, frames, self._placement)
         self._obstacles.publish(step.scene.stamp, list(step.obstacles), step.scene.scale_status,

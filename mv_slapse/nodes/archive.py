@@ -11,7 +11,6 @@ from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.nodes.settings import SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import MapPlane, SceneEstimate
-from mv_slapse.storage import tum
 import numpy as np
 from std_srvs.srv import Trigger
 
@@ -67,6 +66,7 @@ class Archive:
         write_json(path, map_content(self._scene, self._planes.values()))
 
     def _write_trajectory(self, path: Path):
+        from mv_slapse.storage import tum
         poses = np.reshape(self._poses, (-1, 12))
         tum.write_poses(path, ((stamp, pose[:9].reshape(3, 3), pose[9:])
                                for stamp, pose in zip(self._stamps, poses, strict=True)))

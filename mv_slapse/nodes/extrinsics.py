@@ -4,6 +4,7 @@ from importlib import import_module
 import time
 
 from mv_slapse.field_values import read_xyz
+from mv_slapse.geometry.quaternion import to_matrix
 from mv_slapse.geometry.ros_frames import R_BODY_FROM_OPTICAL, RosFrames
 from mv_slapse.message_checks import quaternion
 from mv_slapse.nodes.qos import subscribe
@@ -11,7 +12,6 @@ from mv_slapse.nodes.settings import FrameSettings
 from mv_slapse.nodes.shell import Shell
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from scipy.spatial.transform import Rotation
 
 TOPIC = '/tf_static'
 FRAMES = 10_000  # kept at most
@@ -100,6 +100,6 @@ def chain(parents: dict[str, tuple[str, np.ndarray]], child: str, root: str) -> 
 
 def _matrix(pose: tuple[float, ...]) -> np.ndarray:
     matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat(pose[3:]).as_matrix()
+    matrix[:3, :3] = to_matrix(pose[3:])
     matrix[:3, 3] = pose[:3]
     return matrix

@@ -25,7 +25,6 @@ from mv_slapse.nodes.slam import SlamNode  # noqa: E402
 from mv_slapse.nodes.states import CONDITIONS, Kind  # noqa: E402
 from mv_slapse.records import ScaleStatus, TrackingStatus  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
-from mv_slapse.video_messages import packet_to_fields  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences, PlaneMap, PlaneObservations  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from nodes import clips, drives  # noqa: E402
@@ -35,6 +34,8 @@ from sensor_msgs.msg import CameraInfo  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
 ffmpeg = pytest.importorskip('ffmpeg_image_transport_msgs.msg')
+
+from nodes.video import Video  # noqa: E402
 
 EMPTY = np.zeros(0, np.uint8)
 FRAMES = RosFrames(camera='cam')
@@ -68,48 +69,6 @@ def reaches(bench, node, key, said=''):
 
 def leaves(bench, node, key):
     assert bench.spin(lambda: state(node) != key, 10), messages_of(node)
-
-
-class Video:
-    """A publisher of the clip, in whatever state it is."""
-
-    def __init__(self, bench, node_type, camera=True, **parameters):
-        self.bench = bench
-        self.node = bench.start(node_type, input_type='ffmpeg', tf_wait=0.0, **parameters)
-        self.cameras = bench.peer.create_publisher(CameraInfo, 'camera_info', LATCHED)
-        self.start = 0
-        if camera:
-            self.tell_camera()
-
-    def tell_camera(self, info=None):
-        self.cameras.publish(info or clips.camera_info())
-
-    def connect(self, profile=10):
-        self.publisher = self.bench.advertise(ffmpeg.FFMPEGPacket, 'video', profile)
-
-    def send(self, packets=None, **values):
-        self.start += 20 * 10**9
-        for i, packet in enumerate(packets or clips.packets('h264')):
-            moved = replace(packet, stamp=packet.stamp + self.start)
-            self.publisher.publish(to_message(ffmpeg.FFMPEGPacket, {
-                **packet_to_fields(moved, clips.SIZE, i, 'cam'), **values}))
-
-    def junk(self, n=5, seed=0, **values):
-        rng = np.random.default_rng(seed)
-        packet = clips.packets('h264')[0]
-        self.send([replace(packet, data=rng.bytes(400), stamp=i * 10**8) for i in range(n)],
-                  **{'encoding': 'libx264', **values})
-
-    def works(self):
-        """Send the clip until the node does something with it."""
-        def done():
-            return 'waiting' not in value_of(self.node, 'state') and (
-                value_of(self.node, 'state') != 'failed')
-        for _ in range(5):
-            self.send()
-            if self.bench.spin(done, 3):
-                return
-        raise AssertionError(messages_of(self.node))
 
 
 @VIDEO_NODES

@@ -59,7 +59,7 @@ def initial_pose(x, y, yaw, frame='odom', sigma=0.1):
     msg.pose.pose.position.x, msg.pose.pose.position.y = x, y
     msg.pose.pose.orientation.z = float(np.sin(yaw / 2))
     msg.pose.pose.orientation.w = float(np.cos(yaw / 2))
-    msg.pose.covariance[:] = (np.eye(6) * sigma**2).ravel()
+    msg.pose.covariance[:] = np.diag(np.full(6, sigma**2)).ravel()
     return msg
 
 
