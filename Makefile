@@ -4,11 +4,12 @@ VENV := .venv
 RUN := . $(VENV)/setup.sh &&
 WORKERS ?= 2
 .DEFAULT_GOAL := help
-.PHONY: help setup messages config demo test lint build bench evaluate clean
+.PHONY: help setup messages kernels config demo test lint build bench evaluate clean
 
 # Stamps, one for each step, so that a step is repeated only when what it reads has changed.
 LIBRARIES := $(VENV)/.libraries
 MESSAGES := $(VENV)/.messages
+KERNELS := $(VENV)/.kernels
 PACKAGE := $(VENV)/.package
 INTERFACES := $(wildcard msg_defs msg_defs/* msg_defs/msg/* \
     test/interfaces test/interfaces/* test/interfaces/*/* test/interfaces/*/*/*)
@@ -21,7 +22,7 @@ endif
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1: /p' Makefile | awk -F': ' '{printf "  make %-10s %s\n", $$1, $$2}'
 
-setup: $(LIBRARIES) $(MESSAGES) $(PACKAGE) ## make .venv with ROS 2 Jazzy, all libraries, messages and mv_slapse
+setup: $(LIBRARIES) $(MESSAGES) $(KERNELS) $(PACKAGE) ## make .venv with ROS 2 Jazzy, all libraries, messages, kernels and mv_slapse
 
 $(LIBRARIES): .setup/environment.sh $(wildcard .setup/*.txt)
 	@sh .setup/environment.sh $(VENV)
@@ -31,15 +32,23 @@ $(MESSAGES): $(LIBRARIES) .setup/messages.sh setup.py $(INTERFACES)
 	@sh .setup/messages.sh $(VENV)
 	@touch $@
 
+$(KERNELS): $(LIBRARIES) .setup/kernels.sh setup.py mv_slapse/kernels \
+        $(wildcard mv_slapse/kernels/*.cpp mv_slapse/kernels/*.hpp mv_slapse/kernels/CMakeLists.txt)
+	@sh .setup/kernels.sh $(VENV)
+	@touch $@
+
 $(PACKAGE): $(LIBRARIES) .setup/package.sh setup.py setup.cfg package.xml $(wildcard config/* mv_slapse/launch/*)
 	@sh .setup/package.sh $(VENV)
 	@touch $@
 
 messages: $(MESSAGES) ## generate the messages of msg_defs into .venv
 
-config: setup ## write config/*.yaml and docs/parameters.md from the settings
+kernels: $(KERNELS) ## compile the kernels of mv_slapse/kernels into .venv
+
+config: setup ## write config/*.yaml, docs/parameters.md and docs/diagnostics.md from the code
 	@$(RUN) python -m mv_slapse.tools.parameter_files config
 	@$(RUN) python -m mv_slapse.tools.parameter_table docs/parameters.md
+	@$(RUN) python -m mv_slapse.tools.state_table docs/diagnostics.md
 
 demo: setup ## render a street with known truth, run everything on it, write out/demo
 	@$(RUN) mv_slapse demo -o out/demo
@@ -54,7 +63,7 @@ build: setup ## colcon build (also --symlink-install), start every node, colcon 
 	@sh .setup/workspace.sh
 
 bench: setup ## measure the speed of each stage
-	@set -e; $(RUN) for script in benchmarks/*.py; do \
+	@set -e; $(RUN) for script in benchmarks/speed.py benchmarks/consistency.py; do \
 	    [ -e "$$script" ] || { echo 'make bench: there is no benchmark in benchmarks/ yet'; exit 2; }; \
 	    echo "== $$script"; python "$$script"; done
 

@@ -1,8 +1,11 @@
-"""Install mv_slapse, and with it the messages of ``msg_defs``.
+"""Install mv_slapse, and with it its compiled kernels and the messages of ``msg_defs``.
 
 colcon looks for no package inside another one, so what colcon runs (``install`` and
 ``develop --editable``) also builds the interface package with CMake, into the same prefix. pip
 runs other commands: it installs the Python package and the ``mv_slapse`` program alone.
+
+The kernels are a module of their own beside the package, built with CMake, too: a module inside
+the package would not be found where colcon or pip only link to the sources.
 """
 
 from glob import glob
@@ -11,8 +14,11 @@ from pathlib import Path
 import shlex
 import subprocess
 import sys
+import sysconfig
+import zlib
 
-from setuptools import Command, find_packages, setup
+from setuptools import Command, Distribution, find_packages, setup
+from setuptools.command.build_ext import build_ext
 from setuptools.command.develop import develop
 from setuptools.command.install import install
 
@@ -59,34 +65,91 @@ def build_interfaces(source, prefix, build, destdir=None):
     env = cmake_environment(prefix)
     if destdir:
         env['DESTDIR'] = destdir
+    run_cmake(source, prefix, build, env, f'-DPython3_EXECUTABLE={sys.executable}',
+              '-DBUILD_TESTING=OFF', '-Wno-dev')
+
+
+def build_kernels(folder, build):
+    """Build the compiled kernels with CMake and install them into a folder of Python modules."""
+    # CMake keeps what it has found of one Python, so that another one needs another build folder.
+    build = Path(build, f'kernels-{zlib.crc32(sys.prefix.encode()):08x}').absolute()
+    run_cmake(HERE / 'mv_slapse' / 'kernels', os.path.abspath(folder), build, None,
+              f'-DPython_EXECUTABLE={sys.executable}')
+
+
+def run_cmake(source, prefix, build, env, *options):
+    """Configure, build and install; what has not changed is not built again."""
     for command in (
             ['cmake', '-S', source, '-B', build, f'-DCMAKE_INSTALL_PREFIX={prefix}',
-             f'-DPython3_EXECUTABLE={sys.executable}', '-DCMAKE_BUILD_TYPE=Release',
-             '-DBUILD_TESTING=OFF', '-Wno-dev'],
+             '-DCMAKE_BUILD_TYPE=Release', *options],
             ['cmake', '--build', build, '--parallel', str(os.cpu_count())],
             ['cmake', '--install', build]):
         subprocess.run([str(word) for word in command], env=env, check=True)
 
 
 class Install(install):
-    """``colcon build``: Python files and messages."""
+    """``colcon build``: Python files, kernels and messages."""
 
     def run(self):
-        """Install, then build the messages; not into a wheel, which pip asks for."""
+        """Install, then build kernels and messages; not into a wheel, which pip asks for."""
         super().run()
         if BY_COLCON:
-            build = Path(self.get_finalized_command('build').build_base, 'mv_slapse_msgs')
-            build_interfaces(HERE / 'msg_defs', self.prefix, build.absolute(), self.root)
+            build = Path(self.get_finalized_command('build').build_base).absolute()
+            build_kernels(self.install_lib, build)
+            build_interfaces(HERE / 'msg_defs', self.prefix, build / 'mv_slapse_msgs', self.root)
 
 
 class Develop(develop):
-    """``colcon build --symlink-install``: links and messages."""
+    """``colcon build --symlink-install``: links, kernels and messages."""
 
     def run(self):
-        """Link, then build the messages; colcon runs this in its build directory."""
+        """Link, then build kernels and messages; colcon runs this in its build directory."""
         super().run()
         if BY_COLCON and not self.uninstall:
+            build_kernels(self.install_dir, '.')
             build_interfaces(HERE / 'msg_defs', sys.prefix, Path('mv_slapse_msgs').absolute())
+
+
+class BuildKernels(build_ext):
+    """The kernels of a wheel; of an editable one, too, which holds nothing else."""
+
+    def run(self):
+        """Build them, unless the virtual environment of this clone has them already."""
+        if os.environ.get('MV_SLAPSE_KERNELS') != 'installed':
+            editable = self.editable_mode or self.inplace
+            folder = self.get_finalized_command('install').install_lib if editable else \
+                self.build_lib
+            build_kernels(folder, 'build')
+
+    def get_outputs(self):
+        """Return no files: setuptools would look for extensions that it has built itself."""
+        return []
+
+
+class Compiled(Distribution):
+    """Says that a wheel fits one Python and machine only; colcon builds the kernels apart."""
+
+    def has_ext_modules(self):
+        """Return whether there is something to compile."""
+        return not BY_COLCON
+
+
+class Kernels(Command):
+    """Build the compiled kernels into the interpreter that runs this."""
+
+    description = 'build the compiled kernels with CMake'
+    user_options = [('build=', None, 'where to build them')]
+
+    def initialize_options(self):
+        """Build beside everything else that setuptools builds."""
+        self.build = 'build'
+
+    def finalize_options(self):
+        """Nothing to settle."""
+
+    def run(self):
+        """Build and install."""
+        build_kernels(sysconfig.get_path('platlib'), self.build)
 
 
 class Interfaces(Command):
@@ -162,6 +225,7 @@ setup(
     extras_require={'test': ['pytest']},
     entry_points={'console_scripts': SCRIPTS},
     zip_safe=False,
-    cmdclass={'install': Install, 'develop': Develop, 'interfaces': Interfaces,
-              'overlay': Overlay},
+    distclass=Compiled,
+    cmdclass={'install': Install, 'develop': Develop, 'build_ext': BuildKernels,
+              'interfaces': Interfaces, 'kernels': Kernels, 'overlay': Overlay},
 )

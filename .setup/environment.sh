@@ -46,13 +46,11 @@ python=$(find_python)
 if [ -n "$python" ]; then
     "$python" -c 'import ensurepip, venv' 2>/dev/null || need 'the venv module' python3-venv
 fi
-if [ "$ros" != none ]; then
-    command -v cc >/dev/null && command -v c++ >/dev/null || need 'a C and C++ compiler' build-essential
-    command -v cmake >/dev/null || need CMake cmake
-    if [ -n "$python" ] && ! "$python" -c 'import os, sys, sysconfig
+command -v cc >/dev/null && command -v c++ >/dev/null || need 'a C and C++ compiler' build-essential
+command -v cmake >/dev/null || need CMake cmake
+if [ -n "$python" ] && ! "$python" -c 'import os, sys, sysconfig
 sys.exit(not os.path.isfile(os.path.join(sysconfig.get_path("include"), "Python.h")))'; then
-        need "Python's headers" python3-dev
-    fi
+    need "Python's headers" python3-dev
 fi
 if [ -n "$missing" ]; then
     fail "missing: $missing. Install with

@@ -12,9 +12,15 @@ git ls-files -z --cached --others --exclude-standard |
 cd "$workspace"
 export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
+import_kernels() {  # those of the workspace, not those of the virtual environment
+    python -c 'import mv_slapse_kernels, sys
+sys.exit(not mv_slapse_kernels.__file__.startswith(sys.argv[1] + "/install/"))' "$workspace"
+}
+
 echo '== colcon build --symlink-install'
 colcon build --symlink-install
 (. install/local_setup.sh
+import_kernels
 cd src/mv_slapse
 python -m pytest -q test/system/test_installed_nodes.py)
 rm -rf build install log
@@ -24,5 +30,6 @@ colcon build
 
 echo '== colcon test'
 . install/local_setup.sh
+import_kernels
 colcon test --event-handlers console_direct+ || true
 colcon test-result --verbose

@@ -19,6 +19,14 @@ class UnusableInput(MvSlapseError):  # noqa: N818 (the input is at fault, no err
     exit_code = 3
 
 
+class MissingKernels(MvSlapseError):  # noqa: N818 (as above: the installation is incomplete)
+    """The compiled module is not installed, or does not fit this Python."""
+
+    exit_code = 3
+    cure = ('run `make setup` in the clone, or build the workspace again with colcon, or install '
+            'mv_slapse again with pip; each needs CMake, a C++ compiler and pybind11')
+
+
 class UnusableOutput(MvSlapseError):  # noqa: N818 (the disk is at fault)
     """A place where results cannot be written: full, read-only or not permitted."""
 

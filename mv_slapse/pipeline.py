@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mv_slapse.config import Settings
-from mv_slapse.filters.obstacles import ObstacleTracker
-from mv_slapse.filters.scene import SceneFilter
+from mv_slapse.extraction.extractor import PlaneExtractor
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.planes.extractor import PlaneExtractor
+from mv_slapse.obstacles.tracker import ObstacleTracker
 from mv_slapse.records import (
     Correspondences,
     Extraction,
@@ -16,6 +15,7 @@ from mv_slapse.records import (
     SceneEstimate,
     Speed,
 )
+from mv_slapse.scene.filter import SceneFilter
 
 
 @dataclass(frozen=True)

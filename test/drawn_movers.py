@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 from mv_slapse.geometry.moving_plane import COVERED
-from mv_slapse.planes.moving import fit_moving_plane
+from mv_slapse.movers.moving_plane import fit_moving_plane
 from mv_slapse.records import (
     CameraMotion,
     Extraction,

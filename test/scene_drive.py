@@ -2,9 +2,6 @@
 
 from canyon import CANYON, K, turn_between, views
 from mv_slapse.config import SceneSettings
-from mv_slapse.filters import scene_state
-from mv_slapse.filters.scene import SceneFilter
-from mv_slapse.filters.scene_state import Pose
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
 from mv_slapse.records import (
@@ -15,6 +12,9 @@ from mv_slapse.records import (
     PlaneObservation,
     SegmentKind,
 )
+from mv_slapse.scene import state as scene_state
+from mv_slapse.scene.filter import SceneFilter
+from mv_slapse.scene.state import Pose
 import numpy as np
 from scipy.spatial.transform import Rotation
 

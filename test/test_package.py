@@ -3,9 +3,12 @@
 import os
 from pathlib import Path
 import re
+import shutil
 import subprocess
 import sys
+import sysconfig
 import xml.etree.ElementTree as ET
+import zipfile
 
 from mv_slapse.nodes.settings import NODE_SETTINGS
 from mv_slapse.tools import parameter_files
@@ -117,3 +120,46 @@ sys.exit(main(['doctor']))
     assert re.search(r'scipy +MISSING.*\n.*pip install scipy', done.stdout)
     assert 'command line: can NOT run' in done.stdout
     assert 'Traceback' not in done.stdout + done.stderr
+
+
+def test_doctor_says_how_to_get_kernels_that_are_missing():
+    code = """
+import sys
+sys.modules['mv_slapse_kernels'] = None
+from mv_slapse.__main__ import main
+sys.exit(main(['doctor']))
+"""
+    done = subprocess.run([sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 3
+    assert re.search(r'compiled kernels +MISSING.*\n.*make setup.*colcon.*pip', done.stdout)
+    assert 'Traceback' not in done.stdout + done.stderr
+
+
+def test_a_wheel_holds_the_kernels(tmp_path):
+    pytest.importorskip('pybind11')
+    source = tmp_path / 'source'
+    names = subprocess.run(['git', 'ls-files', '-z', '--cached', '--others', '--exclude-standard'],
+                           cwd=ROOT, capture_output=True, text=True)
+    if names.returncode:
+        pytest.skip('not a clone')
+    for name in filter(None, names.stdout.split('\0')):
+        if name.split('/')[0] not in ('test', 'docs', 'benchmarks') and (ROOT / name).exists():
+            target = source / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, target)
+    # by way of the archive of sources, as a user gets it
+    build = ('import os, sys, tarfile, setuptools.build_meta as b; out = sys.argv[1]; '
+             'os.chdir(out + "/source"); name = b.build_sdist(out); os.chdir(out); '
+             'tarfile.open(name).extractall(filter="data"); '
+             'os.chdir(name.removesuffix(".tar.gz")); b.build_wheel(out)')
+    done = subprocess.run([sys.executable, '-c', build, tmp_path], cwd=tmp_path,
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    wheel, = tmp_path.glob('*.whl')
+    assert sysconfig.get_platform().replace('-', '_') in wheel.name
+    zipfile.ZipFile(wheel).extractall(tmp_path / 'site')
+    found = subprocess.run(
+        [sys.executable, '-c', 'import mv_slapse.codec.decoder as d, mv_slapse_kernels as k; '
+         'print(d.__file__, k.__file__)'], cwd=tmp_path, capture_output=True, text=True,
+        env={**os.environ, 'PYTHONPATH': str(tmp_path / 'site')})
+    assert found.stdout.count(str(tmp_path / 'site')) == 2, found.stdout + found.stderr

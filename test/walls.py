@@ -2,7 +2,7 @@
 
 from canyon import GRID, K
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.planes.consensus import Depths
+from mv_slapse.surfaces.consensus import Depths
 import numpy as np
 
 UP = np.array([0.0, -1.0, 0.0])

@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 
-from mv_slapse.errors import MvSlapseError, UnusableInput
+from mv_slapse.errors import MissingKernels, MvSlapseError, UnusableInput
 
 PYTHONS = ((3, 11), (3, 12))
 #: module, distribution, oldest version that works
@@ -49,9 +49,9 @@ class Finding:
 
 def examine() -> list[Finding]:
     """Look at all that the command line and the nodes need."""
-    libraries = [library(*names) for names in LIBRARIES]
-    vectors = motion_vectors() if all(item.ok for item in libraries[:4]) else Finding(
-        'motion vectors', False, 'not tried', 'install the libraries above')
+    libraries = [*(library(*names) for names in LIBRARIES), kernels()]
+    vectors = motion_vectors() if all(item.ok for item in (*libraries[:4], libraries[-1])) \
+        else Finding('motion vectors', False, 'not tried', 'install the libraries above')
     return [python(), *libraries, vectors, *ros()]
 
 
@@ -92,6 +92,16 @@ def library(module: str, distribution: str, oldest: str) -> Finding:
         return Finding(module, True, 'version unknown')
     ok = numbers(version) >= numbers(oldest)
     return Finding(module, ok, version if ok else f'{version} is older than {oldest}', cure)
+
+
+def kernels() -> Finding:
+    """Load the compiled kernels."""
+    name = 'compiled kernels'
+    try:
+        from mv_slapse.kernels import binding
+    except MissingKernels as error:
+        return Finding(name, False, str(error.__cause__), error.cure)
+    return Finding(name, True, binding.compiled.__file__)
 
 
 def numbers(version: str) -> tuple[int, ...]:

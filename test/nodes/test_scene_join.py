@@ -2,8 +2,8 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import made_up
-from mv_slapse.filters import units
 from mv_slapse.nodes.scene_join import continues, SceneJoin, SceneMemory
+from mv_slapse.obstacles import units
 from mv_slapse.records import ScaleStatus, TrackingStatus
 import numpy as np
 import pytest

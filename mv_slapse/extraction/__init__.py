@@ -1,0 +1,1 @@
+"""The extraction of a key frame pair, step by step, and its state."""

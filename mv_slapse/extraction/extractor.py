@@ -1,0 +1,365 @@
+"""Planes, camera motion and labels of each key frame pair, [MVO] 4: PlaneExtractor.extract."""
+
+from dataclasses import replace
+import itertools
+
+from mv_slapse.blas import one_thread
+from mv_slapse.config import ExtractionSettings, USUAL_HEIGHT
+from mv_slapse.extraction.pair_estimate import Found, labels, observations
+from mv_slapse.extraction.state import Memory
+from mv_slapse.geometry import rotation, two_view
+from mv_slapse.geometry.camera import Camera, undistort
+from mv_slapse.motion import (
+    baseline,
+    estimate,
+    planar_ambiguity,
+    status,
+)
+from mv_slapse.motion import observations as block_observations
+from mv_slapse.motion.estimate import MotionFit, refined_from
+from mv_slapse.motion.observations import BlockObservations
+from mv_slapse.movers import possibly_dynamic, regions
+from mv_slapse.movers.mask import Silhouettes
+from mv_slapse.movers.reference_depth import departure, depths_of
+from mv_slapse.records import (
+    CameraMotion,
+    Correspondences,
+    Extraction,
+    Label,
+    MotionStatus,
+)
+from mv_slapse.surfaces import depth_grid, ground, joint, plane_search
+from mv_slapse.surfaces.consensus import Depths
+from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount
+from mv_slapse.surfaces.plane_search import PlaneFit
+from mv_slapse.surfaces.plane_track import KnownPlane
+import numpy as np
+
+# Mean robust cost at which the last motion explains a pair as well as five points would: about two
+# thirds of the blocks within a standard deviation.
+PREDICTED_COST = 0.35
+MANY_MOVERS = 0.9  # share of blocks left below which the motion is estimated anew without them
+
+
+class PlaneExtractor:
+    """Turns correspondences into camera motion, labelled planes and labelled macroblocks."""
+
+    def __init__(self, camera: Camera, settings: ExtractionSettings, camera_height: float = 0.0):
+        """Start without memory of any plane; the camera's height is in metres, 0: unknown."""
+        self._camera = camera
+        self._camera_height = camera_height or USUAL_HEIGHT
+        self._settings = settings
+        self._memory = Memory(ground=GroundTrack(Mount(
+            spread=settings.ground_tilt, widest=settings.ground_tilt)))
+        self._movers = regions.Memory()
+        self._silhouettes = Silhouettes()
+        self._rules = plane_search.Rules(
+            settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
+            settings.max_planes, settings.max_uncertainty)
+
+    @one_thread
+    def extract(self, correspondences: Correspondences) -> Extraction:
+        """Extract what one key frame pair shows; figure 1 of [MVO], top.
+
+        Returns an Extraction whose motion status is UNKNOWN, with a reason, where the pair is
+        broken or no motion explains enough of its vectors.
+        """
+        whole = self._blank(correspondences)
+        scene = status.scene(whole, correspondences.x_cur, self._settings)
+        shown, rows = self._shown(status.only(whole, scene), correspondences.lone[scene],
+                                  correspondences.reason)
+        return self._silhouettes.fill(status.scattered(whole, shown, scene[rows]), correspondences)
+
+    def _shown(self, whole: Extraction, lone: np.ndarray, reason: str):
+        """Return what a pair shows, and the rows of the whole that it made use of."""
+        settings, rows = self._settings, np.flatnonzero(~lone)
+        reason = reason or status.too_few(len(rows))
+        if reason:
+            return replace(status.only(whole, rows), reason=reason), rows
+        pair = status.pair(whole)
+        supported = pair[rows]
+        if status.stands_still(supported, whole, rows, settings.standstill_share):
+            return self._standing(status.only(whole, rows)), rows
+        fit, free = self._first_motion(whole, supported)
+        noise = estimate.calibrated(supported, fit, self._memory.noise)
+        pair = replace(pair, sigma=noise * pair.sigma)
+        seen = self._observed(pair, fit)
+        if seen.epipolar_inlier[rows].mean() < settings.min_inliers:
+            return replace(status.only(whole, rows), reason=status.disagreement(seen[rows])), rows
+        turned = self._turned(whole, seen, rows, fit.R_cur_from_prev)
+        if turned is not None:
+            return turned, rows
+        ratio = self._ratio(whole, seen, ~lone, fit)
+        floor, road = self._survey(whole, pair, seen, lone, fit, ratio)
+        free = status.spread(free, rows, len(whole.x_cur))
+        left, rows = np.flatnonzero(lone & ~road), np.flatnonzero(~lone | road)
+        left = replace(status.only(whole, left), sigma=pair.sigma[left])
+        blank, evidence = status.only(whole, rows), seen[rows]
+        pair = evidence.pair
+        found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor,
+                                                  free[rows], road[rows]))
+        found = self._moving(blank, pair, self._named(found), floor, ratio, left)
+        found = self._refined(pair, found, floor)
+        # Anew, by the motion that the next pair will compare with: its error then cancels.
+        ratio = self._ratio(blank, found.evidence, True, found.fit)
+        blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
+        return self._finished(blank, pair, found, noise, floor), rows
+
+    def _blank(self, correspondences: Correspondences) -> Extraction:
+        """Return an extraction that knows nothing yet but undistorted pixels.
+
+        Columns are rounded to float32 as messages hold them.
+        """
+        n = len(correspondences)
+        return Extraction(
+            correspondences.stamp, correspondences.previous_stamp, correspondences.width,
+            correspondences.height, correspondences.kind, self._camera.K,
+            CameraMotion(MotionStatus.UNKNOWN),
+            x_cur=undistort(self._camera, correspondences.x_cur).astype(np.float32),
+            x_prev=undistort(self._camera, correspondences.x_prev).astype(np.float32),
+            sigma=correspondences.sigma, block=correspondences.block,
+            label=np.full(n, Label.UNKNOWN, np.int8), plane_id=np.full(n, -1, np.int32))
+
+    def _standing(self, blank: Extraction) -> Extraction:
+        """Label a key frame pair of a camera that stands still."""
+        still = np.linalg.norm(blank.x_cur - blank.x_prev, axis=1) < 0.5
+        self._memory = replace(self._memory, stamp=blank.stamp, previous_stamp=None, movers=None)
+        motion = CameraMotion(MotionStatus.STANDSTILL,
+                              covariance=np.diag([1e-8] * 3 + [0.0] * 3))
+        return self._without_baseline(blank, motion, still)
+
+    def _observed(self, pair: two_view.Pair, fit: MotionFit) -> BlockObservations:
+        """Return what the blocks of a pair say under a motion."""
+        settings = self._settings
+        return block_observations.observe(pair, fit, settings.epsilon_f, settings.epsilon_m,
+                                          settings.relief)
+
+    def _turned(self, whole: Extraction, seen: BlockObservations, rows: np.ndarray,
+                R: np.ndarray) -> Extraction | None:
+        """Label the supported rows of a camera that turns on the spot; None where it moves."""
+        settings = self._settings
+        parallax = seen.parallax[rows][seen.epipolar_inlier[rows]]
+        if not block_observations.may_turn(parallax, settings.epsilon_m):
+            return None
+        pair = seen.pair[rows]
+        R, covariance, off = estimate.turn(pair, R)
+        if not block_observations.turns_only(off * pair.sigma, settings.epsilon_m):
+            return None
+        self._memory = self._memory.turned(whole.stamp, R)
+        motion = CameraMotion(MotionStatus.ROTATION_ONLY, R, covariance=covariance)
+        blank = replace(status.only(whole, rows), sigma=pair.sigma.astype(np.float32))
+        return self._without_baseline(blank, motion, off < settings.epsilon_f)
+
+    def _without_baseline(self, blank: Extraction, motion: CameraMotion, still) -> Extraction:
+        """Label blocks (N,) that stay where they were: what moves then moves itself.
+
+        Without a baseline there is no unit of length: moving planes have a prior's.
+        """
+        label = np.where(still, Label.STATIONARY, Label.UNKNOWN).astype(np.int8)
+        shown, self._movers = regions.with_moving_planes(
+            replace(blank, label=label, motion=motion), None, self._movers,
+            self._settings.moving_score, self._memory.ground.mount.normal,
+            camera_height=self._camera_height)
+        return shown
+
+    def _motion(self, pair: two_view.Pair) -> MotionFit:
+        """Estimate the motion from the last one or, where that fails, five points, [MVO] 4.1."""
+        last, predicted, others = self._memory.motion, None, []
+        if last is not None:
+            predicted = refined_from(pair, last.R_cur_from_prev, last.t_cur_from_prev)
+        if predicted is None or predicted.cost > PREDICTED_COST:
+            starts = estimate.from_essential_matrix(
+                pair.rays_cur, pair.rays_prev, 0.7 / pair.K[0, 0])[:1]
+            starts = starts or [(np.eye(3), np.array([0.0, 0.0, -1.0]))] * (predicted is None)
+            others = [refined_from(pair, *start) for start in starts]
+        return planar_ambiguity.unfolded(pair, planar_ambiguity.likeliest(pair, predicted, others))
+
+    def _first_motion(self, whole: Extraction, pair: two_view.Pair):
+        """Estimate the motion without what was a mover, and what must be one by the ground.
+
+        Also returns the blocks (N,) bool of the pair that are left.
+        """
+        memory = self._memory
+        follows = memory.stamp == whole.previous_stamp
+        held = possibly_dynamic.taken(memory.movers if follows else None, pair.x_prev)
+        free = possibly_dynamic.without(held)
+        fit = self._motion(pair[free])
+        if follows and memory.ground.plane is not None:
+            prior = self._ground_prior(whole, fit, baseline.BaselineRatio())
+            free = possibly_dynamic.without(held | self._below(pair, fit, prior))
+            if np.mean(free) < MANY_MOVERS:
+                fit = refined_from(pair[free], fit.R_cur_from_prev, fit.t_cur_from_prev)
+        return fit, free
+
+    def _below(self, pair, fit: MotionFit, prior: GroundPrior) -> np.ndarray:
+        """Return the blocks (N,) bool below the ground that is expected, none: too unsure."""
+        if prior.spread > ground.FORGOTTEN:
+            return np.zeros(len(pair), bool)
+        return possibly_dynamic.below(pair, fit.R_cur_from_prev, fit.t_cur_from_prev,
+                              prior.normal * prior.inverse_depth, prior.spread)
+
+    def _planes(self, blank, pair, evidence, fit, ratio, prior: GroundPrior,
+                free, road: np.ndarray) -> list[PlaneFit]:
+        """Find the ground, then known planes, then new ones, among stationary blocks."""
+        rng = np.random.default_rng(self._settings.seed)
+        depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
+        free = free & evidence.has_depth
+        found = []
+        floor = ground.find_ground(depths, free, prior, self._rules, rng, road)
+        if floor is not None:
+            found.append(replace(floor, id=self._memory.ground.id))
+            free = free & ~floor.member
+        known = self._known(blank, fit, ratio)
+        depths = self._carried(pair, replace(depths, sigma=evidence.blur), fit, ratio)
+        walls, known = plane_search.stationary_planes(
+            depths, free, known,
+            prior.normal if floor is None else floor.plane / np.linalg.norm(floor.plane),
+            self._rules, self._rules.max_planes - len(found), self._memory.next_id)
+        newest = max((plane.id for plane in known), default=-1)
+        self._memory = replace(
+            self._memory, planes=tuple(known), next_id=max(self._memory.next_id, newest + 1),
+            grid=depth_grid.noted(blank.width, blank.height, depths[free]))
+        return found + walls
+
+    def _carried(self, pair, depths: Depths, fit: MotionFit, ratio) -> Depths:
+        """Join the depths of a pair with those that the pairs before have left."""
+        grid = self._memory.grid
+        if grid is None or not np.isfinite(ratio.sigma):
+            return depths
+        return depth_grid.joined(depths, *grid.predicted(
+            pair, fit.R_cur_from_prev, fit.t_cur_from_prev, float(np.exp(ratio.log))))
+
+    def _known(self, blank, fit: MotionFit, ratio) -> list[KnownPlane]:
+        """Predict the planes of the last pair; none where this pair does not follow it."""
+        memory = self._memory
+        if memory.stamp != blank.previous_stamp:
+            return []
+        log, sigma = self._memory.log_ratio(blank, ratio)
+        R, t = fit.R_cur_from_prev, fit.t_cur_from_prev
+        predicted = (plane.predicted(R, t, log, sigma) for plane in memory.planes)
+        return [plane for plane in predicted if plane is not None]
+
+    def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio, lone) -> Found:
+        """Find what moves by itself, and take it out of the stationary planes."""
+        label, plane_id = labels(found)
+        seen = next((plane.plane for plane in found.planes if plane.is_ground), None)
+        floor, nearer = ground.for_movers(seen, prior, self._memory.height)
+        rides, fit = self._memory.ground.mount.rides, found.fit
+        motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev)
+        shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
+                        planes=tuple(observations(blank.x_cur, found)),
+                        sigma=pair.sigma.astype(np.float32))
+        level = left = None
+        if rides:
+            level, left = prior.normal, departure(
+                self._memory.past_at(blank, fit, ratio), blank,
+                depths_of(pair, blank, found.evidence, found.evidence.has_depth), floor)
+        shown, self._movers = regions.with_moving_planes(
+            shown, floor if rides else None, self._movers, self._settings.moving_score,
+            level, left, lone, nearer, self._camera_height)
+        shown = replace(shown, planes=tuple(
+            plane for plane in shown.planes if plane.label is Label.MOVING))
+        still = shown.label != Label.MOVING
+        planes = [replace(plane, member=plane.member & still) for plane in found.planes
+                  if plane.is_ground or np.mean(still[plane.member]) > 0.5]
+        lost = {plane.id for plane in found.planes} - {plane.id for plane in planes}
+        self._memory = replace(self._memory, planes=tuple(
+            plane for plane in self._memory.planes if plane.id not in lost))
+        unsure = possibly_dynamic.like_movers(shown)
+        if seen is not None:
+            unsure |= possibly_dynamic.below(pair, fit.R_cur_from_prev, fit.t_cur_from_prev,
+                                             seen, 0.0)
+        return replace(found, planes=planes, moving=shown, doubtful=unsure)
+
+    def _ratio(self, blank, seen: BlockObservations, usable, fit) -> baseline.BaselineRatio:
+        """Compare this pair's baseline, by its usable blocks (N,) bool, with the last one's."""
+        memory = self._memory
+        if memory.depths is None or memory.stamp != blank.previous_stamp:
+            return baseline.BaselineRatio()
+        now = baseline.from_previous((blank.width, blank.height), seen, usable, fit,
+                                     self._settings.relief)
+        return baseline.baseline_ratio(memory.depths, now, memory.steady(blank))
+
+    def _ground_prior(self, blank, fit: MotionFit, ratio) -> GroundPrior:
+        """Predict the ground; with unknown baseline ratio at an unchanged speed."""
+        log, sigma = self._memory.log_ratio(blank, ratio)
+        return self._memory.ground.prior(fit.R_cur_from_prev, fit.t_cur_from_prev, log, sigma,
+                                         self._settings.ground_wobble)
+
+    def _survey(self, whole, pair, evidence, lone, fit: MotionFit, ratio):
+        """Predict the ground, and tell which lone blocks (N,) bool lie on it."""
+        memory = self._memory
+        # What flies has no way on the ground.
+        turn = rotation.angle(fit.R_cur_from_prev) if memory.ground.mount.rides else 0.0
+        depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, whole.x_cur)
+        belief, prior, road = ground.survey(
+            depths, pair.sigma, evidence, lone, self._ground_prior(whole, fit, ratio),
+            memory.height.moved(*memory.log_ratio(whole, ratio)), self._settings.epsilon_h,
+            turn, memory.is_comparable(whole, ratio), ground.course_of(fit.t_cur_from_prev))
+        self._memory = replace(memory, height=belief)
+        return prior, road
+
+    def _refined(self, pair, found: Found, prior: GroundPrior) -> Found:
+        """Re-estimate motion and planes together, (10), and judge the blocks again."""
+        settings, fit, planes = self._settings, found.fit, found.planes
+        index = np.full(len(pair), -1)
+        for i, plane in enumerate(planes):
+            index[plane.member] = i
+        stationary = found.evidence.epipolar_inlier & ~found.evidence.backward
+        stationary &= (found.moving.label != Label.MOVING) & ~found.doubtful
+        index[~stationary] = joint.LEFT_OUT
+        R, t, values, covariance = joint.reestimate(
+            pair, (fit.R_cur_from_prev, fit.t_cur_from_prev),
+            [plane.plane for plane in planes], index, settings.relief,
+            expected=[(i, *prior.upright(plane.plane)) for i, plane in enumerate(planes)
+                      if plane.is_ground and plane.member.sum() < settings.min_macroblocks])
+        fit = replace(fit, R_cur_from_prev=R, t_cur_from_prev=t, covariance=covariance[:6, :6])
+        planes = [replace(plane, plane=value,
+                          covariance=covariance[6 + 3 * i:9 + 3 * i, 6 + 3 * i:9 + 3 * i])
+                  for i, (plane, value) in enumerate(zip(planes, values, strict=True))]
+        # What leans over once no prior holds it was not well seen, nor what many pairs contradict.
+        mount, height = self._memory.ground.mount, self._memory.height
+        planes = [plane for plane in planes if not plane.is_ground or (
+            mount.holds(plane.plane) and height.allows(plane.plane))]
+        return Found(fit, self._observed(pair, fit), planes, found.moving, found.doubtful)
+
+    def _finished(self, blank, pair, found: Found, noise, prior) -> Extraction:
+        """Write labels and planes down and keep what the next pair needs."""
+        label, plane_id = labels(found)
+        seen = (*observations(blank.x_cur, found), *found.moving.planes)
+        self._remember(blank, pair, found, seen, plane_id, noise, prior)
+        fit = found.fit
+        motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev,
+                              fit.covariance, bool(fit.t_cur_from_prev[2] < 0))
+        return replace(blank, motion=motion, planes=seen, label=label,
+                       plane_id=plane_id, sigma=pair.sigma.astype(np.float32))
+
+    def _named(self, found: Found) -> Found:
+        """Give an id to every plane that has none."""
+        ids = itertools.count(self._memory.next_id)
+        planes = [plane if plane.id >= 0 else replace(plane, id=next(ids))
+                  for plane in found.planes]
+        self._memory = replace(self._memory, next_id=next(ids))
+        return replace(found, planes=planes)
+
+    def _remember(self, blank, pair, found: Found, observations, plane_id, noise, prior):
+        """Keep motion, labels, ground and depths for the next pair."""
+        floor = next((plane for plane in observations if plane.is_ground), None)
+        track = self._memory.ground
+        track = replace(track, mount=track.mount.learned(found.fit.t_cur_from_prev,
+                                                         self._settings.ground_wobble))
+        if floor is None:
+            track = track.missed(prior)
+        else:
+            track = track.seen(floor.id, floor.plane, floor.covariance)
+        evidence, size = found.evidence, (blank.width, blank.height)
+        still = evidence.has_depth & (found.moving.label != Label.MOVING) & ~found.doubtful
+        past = self._memory.past_at(blank, found.fit, baseline.BaselineRatio(
+            blank.baseline_ratio, blank.baseline_ratio_sigma))
+        self._memory = Memory(
+            blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
+            baseline.depth_map(size, (blank.x_cur, evidence.rho, evidence.far_sigma),
+                               found.fit.t_cur_from_prev[2], self._settings.relief,
+                               evidence.has_depth & ~found.doubtful),
+            self._memory.planes, possibly_dynamic.painted(found.moving), self._memory.height,
+            self._memory.grid, past.noted(blank.stamp, depths_of(pair, blank, evidence, still)))

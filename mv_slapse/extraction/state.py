@@ -1,0 +1,76 @@
+"""What the extraction of one key frame pair leaves for the next."""
+
+from dataclasses import dataclass, replace
+
+from mv_slapse.motion import baseline
+from mv_slapse.motion.estimate import MotionFit
+from mv_slapse.movers.reference_depth import Past
+from mv_slapse.records import Extraction
+from mv_slapse.surfaces.depth_grid import DepthGrid
+from mv_slapse.surfaces.ground import GroundTrack, Mount
+from mv_slapse.surfaces.height import HeightBelief
+from mv_slapse.surfaces.plane_track import KnownPlane
+import numpy as np
+
+ANY_RATIO = 1.5  # of the log of a baseline after a stop over the one before it: a factor of 4
+STEADY_SIGMA = 0.15  # of the same, unseen: 1.3 m/s at 30 km/h, a hard brake over a dead segment
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What the last key frame leaves for the next: motion, depths, ground, planes and movers.
+
+    ``movers`` is the grid of planes.doubtful.painted; ``height`` is in the last pair's baseline.
+    """
+
+    stamp: int | None = None
+    motion: MotionFit | None = None
+    previous_stamp: int | None = None
+    ground: GroundTrack = GroundTrack(Mount())
+    noise: float = 1.0
+    next_id: int = 0
+    depths: baseline.DepthMap | None = None
+    planes: tuple[KnownPlane, ...] = ()
+    movers: np.ndarray | None = None
+    height: HeightBelief = HeightBelief.blank()
+    grid: DepthGrid | None = None
+    past: Past = Past()
+
+    def turned(self, stamp: int, R) -> 'Memory':
+        """Return it after the camera has turned by R_cur_from_prev on the spot."""
+        planes = tuple(replace(plane, plane=R @ plane.plane, covariance=R @ plane.covariance @ R.T)
+                       for plane in self.planes)
+        floor = self.ground.plane
+        floor = floor if floor is None else R @ floor
+        return replace(self, stamp=stamp, previous_stamp=None, depths=None, planes=planes,
+                       movers=None, grid=None, past=Past(),
+                       ground=replace(self.ground, plane=floor))
+
+    def past_at(self, blank: Extraction, fit: MotionFit, ratio: baseline.BaselineRatio) -> Past:
+        """Return what stood still before in a pair's camera; nothing where lengths are unknown."""
+        if self.stamp != blank.previous_stamp or not np.isfinite(ratio.sigma):
+            return Past()
+        return self.past.carried(blank.stamp, fit.R_cur_from_prev, fit.t_cur_from_prev, ratio.log)
+
+    def log_ratio(self, blank: Extraction, ratio: baseline.BaselineRatio) -> tuple[float, float]:
+        """Return the logarithm of a pair's baseline over the last one, and its uncertainty."""
+        if np.isfinite(ratio.sigma):
+            return ratio.log, ratio.sigma
+        if self.previous_stamp is None:
+            return 0.0, ANY_RATIO
+        return self.steady(blank), STEADY_SIGMA
+
+    def steady(self, blank: Extraction) -> float:
+        """Return the logarithm of a pair's baseline over the last one at an unchanged speed."""
+        if self.previous_stamp is None:
+            return 0.0
+        return float(np.log((blank.stamp - blank.previous_stamp)
+                            / (self.stamp - self.previous_stamp)))
+
+    def is_comparable(self, blank: Extraction, ratio: baseline.BaselineRatio) -> bool:
+        """Tell whether a pair's depths agree with the last one's, as far as there was one.
+
+        If not its vectors may mean other pictures, all of them alike.
+        """
+        return (self.previous_stamp is None or self.stamp != blank.previous_stamp
+                or bool(np.isfinite(ratio.sigma)))

@@ -1,0 +1,170 @@
+#include "lattice.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "arrays.hpp"
+
+namespace kernels {
+namespace {
+
+constexpr double MACROBLOCK = 16;  // px
+constexpr double FARTHEST = 2048;  // macroblocks from the picture's corner: the box's limit
+
+int cell_of(double x) {
+  return static_cast<int>(
+      std::clamp(std::floor((x + 0.5) / MACROBLOCK), -FARTHEST, FARTHEST));
+}
+
+}  // namespace
+
+Cells::Cells(const double* x, int n) : column(n), row(n) {
+  for (int i = 0; i < n; ++i) {
+    column[i] = cell_of(x[2 * i]);
+    row[i] = cell_of(x[2 * i + 1]);
+  }
+  for (auto [values, extent] : {std::pair{&column, &columns}, std::pair{&row, &rows}}) {
+    if (!n) continue;
+    const auto [low, high] = std::minmax_element(values->begin(), values->end());
+    const int first = *low;
+    *extent = *high - first + 1;
+    for (int& value : *values) value -= first;
+  }
+}
+
+Components::Components(const Cells& cells, int reach)
+    : cells_(cells), reach_(reach), width_(cells.columns) {
+  const std::size_t area = static_cast<std::size_t>(cells.columns) * cells.rows;
+  occupied_.resize(area);
+  grown_.resize(width_);
+  run_of_.resize(area + 2 * static_cast<std::size_t>(reach) * width_);
+  stamp_.resize(area);
+}
+
+int Components::root(int run) {
+  while (runs_[run].parent != run) run = runs_[run].parent = runs_[runs_[run].parent].parent;
+  return run;
+}
+
+// A block's cell, grown by `reach` to all sides, touches that of a neighbour: so rows are grown
+// downward and upward, and cells of a row within 2 reach + 1 make one run. Runs of rows in
+// sequence that touch, at corners too, belong together.
+int Components::label(const std::vector<int>& blocks, std::vector<int>& component) {
+  component.resize(blocks.size());
+  if (blocks.empty()) return 0;
+  int top = cells_.rows, bottom = -1;
+  for (const int i : blocks) {
+    top = std::min(top, cells_.row[i]);
+    bottom = std::max(bottom, cells_.row[i]);
+    occupied_[cells_.at(i)] = 1;
+  }
+  runs_.clear();
+  int before = 0, begin = 0;
+  for (int row = top - reach_; row <= bottom + reach_; ++row) {
+    std::fill(grown_.begin(), grown_.end(), 0);
+    for (int r = std::max(row - reach_, top); r <= std::min(row + reach_, bottom); ++r) {
+      const unsigned char* from = &occupied_[static_cast<std::size_t>(r) * width_];
+      for (int c = 0; c < width_; ++c) grown_[c] |= from[c];
+    }
+    begin = static_cast<int>(runs_.size());
+    int* run_of = &run_of_[static_cast<std::size_t>(row + reach_) * width_];
+    for (int c = 0; c < width_; ++c) {
+      if (!grown_[c]) continue;
+      const int last = static_cast<int>(runs_.size()) - 1;
+      if (last >= begin && c - runs_[last].last <= 2 * reach_ + 1)
+        runs_[last].last = c;
+      else
+        runs_.push_back({row, c, c, last + 1});
+      run_of[c] = static_cast<int>(runs_.size()) - 1;
+    }
+    for (int i = begin, j = before; i < static_cast<int>(runs_.size()); ++i) {
+      while (j < begin && runs_[j].last + 2 * reach_ + 1 < runs_[i].first) ++j;
+      for (int k = j; k < begin && runs_[k].first - 2 * reach_ - 1 <= runs_[i].last; ++k) {
+        const int a = root(k), b = root(i);
+        runs_[std::max(a, b)].parent = std::min(a, b);
+      }
+    }
+    before = begin;
+  }
+  number_.assign(runs_.size(), -1);
+  int n = 0;
+  for (std::size_t run = 0; run < runs_.size(); ++run)
+    if (root(static_cast<int>(run)) == static_cast<int>(run)) number_[run] = n++;
+  for (std::size_t i = 0; i < blocks.size(); ++i) {
+    const int block = blocks[i];
+    occupied_[cells_.at(block)] = 0;
+    component[i] = number_[root(run_of_[cells_.at(block) + reach_ * width_])];
+  }
+  return n;
+}
+
+int Components::count(const std::vector<int>& blocks) {
+  ++now_;
+  int n = 0;
+  for (const int i : blocks)
+    if (std::exchange(stamp_[cells_.at(i)], now_) != now_) ++n;
+  return n;
+}
+
+std::vector<int> Components::large(const std::vector<int>& blocks, int smallest) {
+  const int n = label(blocks, component_);
+  std::vector<int> cells(n), kept;
+  ++now_;
+  for (std::size_t i = 0; i < blocks.size(); ++i)
+    if (std::exchange(stamp_[cells_.at(blocks[i])], now_) != now_) ++cells[component_[i]];
+  for (std::size_t i = 0; i < blocks.size(); ++i)
+    if (cells[component_[i]] >= smallest) kept.push_back(blocks[i]);
+  return kept;
+}
+
+std::vector<int> Components::largest(const std::vector<int>& blocks) {
+  const int n = label(blocks, component_);
+  std::vector<int> size(n), kept;
+  for (const int i : component_) ++size[i];
+  const auto most = std::max_element(size.begin(), size.end()) - size.begin();
+  for (std::size_t i = 0; i < blocks.size(); ++i)
+    if (component_[i] == most) kept.push_back(blocks[i]);
+  return kept;
+}
+
+namespace {
+
+std::vector<int> all(int n) {
+  std::vector<int> blocks(n);
+  std::iota(blocks.begin(), blocks.end(), 0);
+  return blocks;
+}
+
+}  // namespace
+}  // namespace kernels
+
+void bind_lattice(pybind11::module_& module) {
+  using namespace kernels;
+  // Number (N,) of the connected component of each pixel (N, 2).
+  module.def("components", [](const py::object& x, int reach) {
+    const In<double> pixels("components", "x", x, {ANY, 2}, Check::finite);
+    require(reach >= 0, "components", "reach must not be negative");
+    const Cells cells(pixels.data(), static_cast<int>(pixels.size()));
+    std::vector<int> component;
+    Components(cells, reach).label(all(cells.size()), component);
+    Out<std::int64_t> out({pixels.size()});
+    std::copy(component.begin(), component.end(), out.data());
+    return out.array();
+  });
+  // Mask (N,) of the pixels in components of at least `smallest` macroblocks.
+  module.def("largest_components", [](const py::object& x, int smallest, int reach) {
+    const In<double> pixels("largest_components", "x", x, {ANY, 2}, Check::finite);
+    require(reach >= 0, "largest_components", "reach must not be negative");
+    const Cells cells(pixels.data(), static_cast<int>(pixels.size()));
+    Out<bool> out({pixels.size()});
+    for (const int i : Components(cells, reach).large(all(cells.size()), smallest)) out[i] = true;
+    return out.array();
+  });
+  // In how many macroblocks pixels (N, 2) lie.
+  module.def("count_macroblocks", [](const py::object& x) {
+    const In<double> pixels("count_macroblocks", "x", x, {ANY, 2}, Check::finite);
+    const Cells cells(pixels.data(), static_cast<int>(pixels.size()));
+    return Components(cells).count(all(cells.size()));
+  });
+}

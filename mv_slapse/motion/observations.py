@@ -1,0 +1,109 @@
+"""What each block says of itself once the camera's motion is known, [MVO] 4.2."""
+
+from dataclasses import dataclass, fields
+
+from mv_slapse.geometry import two_view
+from mv_slapse.kernels.binding import compiled
+from mv_slapse.motion.estimate import MotionFit
+import numpy as np
+
+TURNING_SHARE = 0.15  # of blocks off a rotation: below, the camera turns on the spot
+TURNING_PARALLAX = 3.0  # of epsilon_m, in the median: beyond, the camera moves in any case
+
+
+@dataclass(frozen=True)
+class BlockObservations:
+    """The blocks of a pair under one motion, computed once and handed from step to step.
+
+    Constraints of Definition 1 of [MVO], as values and masks.
+
+    Attributes
+    ----------
+    pair : Pair
+        Rays, matches and their standard deviations.
+    epipolar_error : (N,) array
+        In standard deviations.
+    rho, sigma_rho, blur : (N,) arrays
+        Inverse depth, its standard deviation, and the part of it that vectors make [1/baseline].
+    far_sigma : (N,) array
+        Standard deviation that rho would have at infinity, as seen from camera k-1 [1/baseline].
+    parallax : (N,) array
+        ||x'_prev - x_cur||, [px].
+    flow : (N, 2) array
+        x_cur - x'_prev, which is left of the vector without the camera's rotation, (6) [px].
+    epipolar_inlier : (N,) bool array
+        (3).
+    at_infinity : (N,) bool array
+        (7): too little parallax for a depth.
+    backward : (N,) bool array
+        The direction constraint fails: the block moves against the stationary flow.
+    has_depth : (N,) bool array
+        None of this: the parallax of what stands still before the camera.
+    """
+
+    pair: two_view.Pair
+    epipolar_error: np.ndarray
+    rho: np.ndarray
+    sigma_rho: np.ndarray
+    blur: np.ndarray
+    far_sigma: np.ndarray
+    parallax: np.ndarray
+    flow: np.ndarray
+    epipolar_inlier: np.ndarray
+    at_infinity: np.ndarray
+    backward: np.ndarray
+    has_depth: np.ndarray
+
+    def __getitem__(self, rows) -> 'BlockObservations':
+        """Return those of a mask or an index."""
+        return BlockObservations(*(getattr(self, item.name)[rows] for item in fields(self)))
+
+
+def behind(pair: two_view.Pair, R, t) -> float:
+    """Return the share of the blocks, weighed by their parallax, that are behind the camera.
+
+    A block's vote of [MVO] 4.2 (alpha < 90 degrees for a camera that moves forward, >= 90 for one that
+    moves backward) is the sign of (t_xy - x'_prev t_z) . (x_cur - x'_prev): the epipole
+    e = t_xy / t_z is kept homogeneous, so that a camera moving sideways has a vote too.
+    """
+    return compiled.behind(*two_view.columns(pair, R, t))
+
+
+def may_turn(parallax: np.ndarray, epsilon_m: float) -> bool:
+    """Tell whether a pair shows so little parallax that the camera may have turned on the spot.
+
+    That of the inliers counts, (N,) [px]. Some translation passes for a part of a turn: up to
+    twice ``epsilon_m`` [px], alike everywhere, were measured.
+    """
+    # Half of them below the bound is what the median tells, without a sort.
+    return np.count_nonzero(parallax < TURNING_PARALLAX * epsilon_m) > len(parallax) / 2
+
+
+def turns_only(off: np.ndarray, epsilon_m: float) -> bool:
+    """Tell whether a rotation explains a pair: next to no block is ``off`` (N,) [px] from it.
+
+    Of a camera that moves by 5 cm, 22 % of the blocks or more are off by twice ``epsilon_m`` [px]
+    on every stream that was measured; of one that turns on the spot up to 10 %.
+    """
+    return bool(np.mean(off > 2 * epsilon_m) < TURNING_SHARE)
+
+
+def observe(pair: two_view.Pair, fit: MotionFit, epsilon_f: float, epsilon_m: float,
+            relief: float) -> BlockObservations:
+    """Judge each correspondence under a camera motion.
+
+    Parameters
+    ----------
+    pair : Pair
+    fit : MotionFit
+        Oriented motion.
+    epsilon_f : float
+        Largest epipolar error of an inlier in standard deviations, (3).
+    epsilon_m : float
+        Smallest parallax of a block not at infinity [px], (7).
+    relief : float
+        Depth of a surface about its plane, as a share of depth.
+    """
+    return BlockObservations(pair, *compiled.observe_blocks(
+        *two_view.columns(pair, fit.R_cur_from_prev, fit.t_cur_from_prev),
+        np.array([epsilon_f, epsilon_m, relief])))

@@ -1,0 +1,1 @@
+"""Filters of the moving obstacles, one for each."""

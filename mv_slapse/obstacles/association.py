@@ -1,0 +1,179 @@
+"""Which detection continues which track: overlap of macroblocks and Mahalanobis distance."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from mv_slapse.filters import ekf
+from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.obstacles import motion_model as om
+from mv_slapse.obstacles.detection import Detection
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+FORBIDDEN = 1e6
+OVERLAP_COST = 10.0  # of no overlap at all, against a squared distance
+MIN_OVERLAP = 0.1
+OTHER_ID_COST = 2.0
+RESCUE = 4.0  # a well overlapping detection may be this many gates off, and then counts less
+SAME_ID_RESCUE = 16.0  # the same, if the extractor calls it the same region
+DEPTH_RATIO = (0.6, 1.6)  # between two surfaces of one vehicle,
+SIMILAR_RATIO = (0.8, 1.25)  # if their lower edges tell otherwise: one need not be a foot
+GAP_SHARE = 0.25  # of a vehicle's smaller side that may have no vectors between two of its parts
+MARGIN = 0.5  # share of an obstacle's size by which more of it may come into view
+INSIDE = 0.5  # share of a part's box that the whole's box holds
+
+
+def overlap(x: np.ndarray, other: np.ndarray) -> float:
+    """Return the share of the smaller region's lattice cells that both regions hold.
+
+    ``x`` (N, 2) and ``other`` (M, 2) are block centres [px].
+    """
+    a, b = _cells(x), _cells(other)
+    return len(a & b) / max(min(len(a), len(b)), 1)
+
+
+def box_overlap(a: np.ndarray, b: np.ndarray) -> float:
+    """Return intersection over union of two boxes (4,) as of Detection.box, known to a block.
+
+    Edges that differ by half a block or less are the same.
+    """
+    edges, other = np.r_[a[:2], a[:2] + a[2:]], np.r_[b[:2], b[:2] + b[2:]]
+    apart = other - edges
+    other = edges + np.sign(apart) * np.maximum(np.abs(apart) - MACROBLOCK / 2, 0.0)
+    areas = [np.prod(np.maximum(e[2:] - e[:2], 0.0)) for e in (
+        edges, other, np.r_[np.maximum(edges, other)[:2], np.minimum(edges, other)[2:]])]
+    return float(areas[2] / max(areas[0] + areas[1] - areas[2], 1e-9))
+
+
+def _cells(x):
+    return set(map(tuple, (np.floor(x / MACROBLOCK)).astype(int).tolist()))
+
+
+def observed(detection: Detection) -> np.ndarray:
+    """Return the elements (M,) int of the state that a detection is evidence of."""
+    told = np.ones(om.SIZE, bool)
+    told[2], told[om.RATE] = detection.has_depth, detection.has_rate
+    return np.flatnonzero(told)
+
+
+def squared_distance(mu, P, detection: Detection) -> tuple[float, int]:
+    """Return the squared Mahalanobis distance of a detection to a state and its dimension.
+
+    The slope is left out: another face of the same vehicle is still the vehicle.
+    """
+    rows = observed(detection)
+    rows = rows[rows < om.SLOPE.start]
+    at = np.ix_(rows, rows)
+    innovation = detection.z[rows] - mu[rows]
+    return ekf.squared_distance(innovation, P[at] + detection.R[at]), len(rows)
+
+
+def associate(tracks: Sequence, detections: Sequence[Detection],
+              gate: float) -> list[tuple[int, int]]:
+    """Return pairs (track, detection) of the cheapest assignment in which none is forbidden.
+
+    Parameters
+    ----------
+    tracks : sequence
+        Of predicted tracks with ``mu``, ``P``, ``x`` (predicted block centres) and ``plane_id``.
+    detections : sequence of Detection
+    gate : float
+        Share of right detections inside the gate.
+    """
+    if not tracks or not detections:
+        return []
+    cost = np.array([[_cost(track, detection, gate) for detection in detections]
+                     for track in tracks])
+    rows, columns = linear_sum_assignment(cost)
+    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True)
+            if cost[i, j] < FORBIDDEN]
+
+
+def _cost(track, detection, gate):
+    distance, dof = squared_distance(track.mu, track.P, detection)
+    shared = overlap(track.x, detection.x)
+    limit = ekf.chi2_bound(gate, dof)
+    same_id = track.plane_id == detection.id
+    rescue = SAME_ID_RESCUE if same_id else RESCUE
+    if shared < MIN_OVERLAP or distance > limit * (rescue if shared > 0.5 else 1.0):
+        return FORBIDDEN
+    return distance + OVERLAP_COST * (1 - shared) + OTHER_ID_COST * (not same_id)
+
+
+def groups(detections: Sequence[Detection], gate: float,
+           expected: Mapping[int, np.ndarray] | None = None,
+           may_be_one: Callable[[list[Detection]], bool] = bool) -> list[list[Detection]]:
+    """Return the surfaces of each vehicle, the largest one first.
+
+    Detections come largest first; each joins the first one before it that it touches and whose
+    motion it shares, if the group ``may_be_one`` vehicle then. ``expected`` holds, by the region's
+    id, the boxes (4,) where obstacles should be: in one pair any two cars may move alike within
+    the noise, so that what an obstacle was not before does not join it, be it another obstacle or
+    new.
+    """
+    expected, found = expected or {}, []
+    for detection in detections:
+        home = next((g for g in found if any(same_body(d, detection, gate) for d in g)
+                     and _as_expected((*g, detection), expected)
+                     and may_be_one([*g, detection])), None)
+        if home is None:
+            found.append([detection])
+        else:
+            home.append(detection)
+    return found
+
+
+def _as_expected(group, expected):
+    """Whether a group holds the region of one obstacle at most, and else lies in its place."""
+    places = [expected[d.id] for d in group if d.id in expected]
+    if len(places) != 1:
+        return not places
+    grow = np.r_[-MARGIN, -MARGIN, 2 * MARGIN, 2 * MARGIN] * np.tile(places[0][2:], 2)
+    return all(_covers(places[0] + grow, d.box) for d in group if d.id not in expected)
+
+
+def _covers(box, part):
+    """Whether a box holds most of another."""
+    low = np.maximum(box[:2], part[:2])
+    high = np.minimum(box[:2] + box[2:], part[:2] + part[2:])
+    return bool(np.prod(np.maximum(high - low, 0)) > INSIDE * np.prod(part[2:]))
+
+
+def same_body(one: Detection, other: Detection, gate: float) -> bool:
+    """Return whether two surfaces touch and move as one body at about one depth."""
+    ratios = DEPTH_RATIO if _share_depth(one, other) else SIMILAR_RATIO
+    return _touch(one.box, other.box) and _share_motion((one.z, one.R), (other.z, other.R),
+                                                        ratios, gate)
+
+
+def is_part(whole: tuple[np.ndarray, np.ndarray], whole_box: np.ndarray,
+            part: tuple[np.ndarray, np.ndarray], part_box: np.ndarray, gate: float) -> bool:
+    """Return whether what lies inside a vehicle's box, for the most, moves as the vehicle does.
+
+    ``whole`` and ``part`` are states (8,) with their covariances (8, 8).
+    """
+    return _covers(whole_box, part_box) and _share_motion(whole, part, SIMILAR_RATIO, gate)
+
+
+def _touch(a, b):
+    """Whether two boxes lie at most a block, or a share of the larger one, apart."""
+    gap = np.maximum(a[:2], b[:2]) - np.minimum(a[:2] + a[2:], b[:2] + b[2:])
+    return bool(np.all(gap <= max(MACROBLOCK, GAP_SHARE * max(np.min(a[2:]), np.min(b[2:])))))
+
+
+def _share_depth(one, other):
+    """Whether depths agree; what lies above another surface has no contact of its own."""
+    left = max(one.box[0], other.box[0])
+    right = min(one.box[0] + one.box[2], other.box[0] + other.box[2])
+    if right - left > 0.5 * min(one.box[2], other.box[2]):
+        return True
+    if not (one.has_depth and other.has_depth):
+        return True
+    sigma = np.sqrt(one.R[2, 2] + other.R[2, 2])
+    return abs(one.z[2] - other.z[2]) < 2 * sigma + 0.1
+
+
+def _share_motion(one, other, ratios, gate):
+    """Whether one velocity explains both rates, at depths of a ratio that one body allows."""
+    (a, A), (b, B) = ((mean[om.RATE], cov[om.RATE, om.RATE]) for mean, cov in (one, other))
+    ratio = np.clip(a @ b / max(b @ b, 1e-12), *ratios)
+    return ekf.squared_distance(a - ratio * b, A + ratio**2 * B) < ekf.chi2_bound(gate, 3)

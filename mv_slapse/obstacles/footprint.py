@@ -1,0 +1,104 @@
+"""What ground one vehicle may stand on: cars side by side are wider than any.
+
+Cars in neighbouring lanes go at one speed and at one distance, so that their motion may not tell
+them apart; the ground that they cover does. Nor does it tell of cars in one picture that are far
+behind each other; but the road shows below the farther one.
+"""
+
+from collections.abc import Sequence
+
+from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.obstacles import motion_model as om
+from mv_slapse.obstacles.detection import box_of, Detection
+from mv_slapse.obstacles.view import View
+from mv_slapse.records import Extraction, Label
+import numpy as np
+
+WIDTH, LENGTH = 2.55, 18.75  # [m] of the largest vehicles on roads, directive 96/53/EC
+SURE = 2.0  # standard deviations by which all may be in favour of one vehicle
+BELOW = 2 * MACROBLOCK  # px below a surface where the road shows if it is a foot,
+SHOWN = 0.5  # as this share of the blocks there
+
+
+def may_be_one(whole: Detection, view: View) -> bool:
+    """Return whether surfaces taken together are no wider than one vehicle across its way.
+
+    Its sides point the way it goes. A ray through the left end of the foot and one through the
+    right end meet it somewhere between its nearest and its farthest corner; of these places those
+    count that make it narrowest. True where no ground tells the distance.
+    """
+    if view.ground is None or not whole.has_depth:
+        return True
+    aside, unsure = _aside(whole, view)
+    ends = np.sort(_ends(whole.box, view) @ aside)
+    inner, outer = sorted(np.abs(ends))
+    near = np.exp(whole.z[2] - SURE * np.sqrt(whole.R[2, 2]))
+    length = LENGTH * view.metre
+    width = outer * near + (inner * near if ends[0] * ends[1] < 0 else -inner * (near + length))
+    return bool(width < WIDTH * view.metre + SURE * unsure * length)
+
+
+def stand_apart(surfaces: Sequence[Detection], extraction: Extraction, view: View) -> bool:
+    """Return whether surfaces stand on places that no vehicle covers together.
+
+    A surface stands where its lower edge is if that is the lowest of all, or if the scene shows
+    below it; else it may be any part of what stands there.
+
+    Parameters
+    ----------
+    surfaces : sequence of Detection
+        The first one tells which way they go.
+    extraction : Extraction
+        Whose labels tell what shows below them.
+    view : View
+    """
+    if view.ground is None or not surfaces[0].has_depth:
+        return False
+    lowest = max(item.edge.row for item in surfaces if item.has_depth)
+    feet = [item for item in surfaces if item.has_depth
+            and (item.edge.row == lowest or _scene_below(item, lowest, extraction))]
+    if len(feet) < 2:
+        return False
+    aside, unsure = _aside(surfaces[0], view)
+    depth = np.exp([item.z[2] for item in feet])
+    ends = depth[:, None] * np.sort([_foot(item, view) @ aside for item in feet], axis=1)
+    left, right = np.argmin(ends[:, 0]), np.argmax(ends[:, 1])
+    # The worst case: what their depths err by all in favour of one vehicle.
+    sigma = sum(abs(ends[i, side]) * np.sqrt(feet[i].R[2, 2])
+                for i, side in ((left, 0), (right, 1)))
+    width = ends[right, 1] - ends[left, 0]
+    slack = sigma + unsure * abs(depth[right] - depth[left])
+    return bool(width > WIDTH * view.metre + SURE * slack)
+
+
+def _scene_below(surface, lowest, extraction):
+    """Whether the scene shows right below a surface, down to the ``lowest`` row."""
+    row, box = surface.edge.row, surface.box
+    x, y = extraction.x_cur.T
+    below = ((x > box[0]) & (x < box[0] + box[2])
+             & (y > row) & (y < min(row + BELOW, lowest)))
+    return np.any(below) and np.mean(extraction.label[below] == Label.STATIONARY) > SHOWN
+
+
+def _aside(surface, view):
+    """Return what points across its way on the ground, (3,), and how unsure that is [rad]."""
+    motion = om.motion(surface.z, surface.R, view.scene_velocity, view.scene_covariance)
+    aside = np.cross(view.ground, motion.velocity)
+    speed = np.linalg.norm(aside) / np.linalg.norm(view.ground)
+    aside /= max(np.linalg.norm(aside), 1e-12)
+    return aside, np.sqrt(aside @ motion.covariance[3:, 3:] @ aside) / max(speed, 1e-12)
+
+
+def _foot(surface, view):
+    """Return the rays (2, 3) of the ends of its lowest row, the rest of which may be farther."""
+    x, block = surface.x, surface.block
+    lowest = x[:, 1] + block[:, 1] / 2 > surface.edge.row - MACROBLOCK / 2
+    return _ends(box_of(x[lowest], block[lowest]), view)
+
+
+def _ends(box, view):
+    """Return the rays (2, 3) of the lower corners of a box, which is known to half a block."""
+    x, y, width, height = box
+    return to_rays(view.K, np.array([[x + MACROBLOCK / 2, y + height],
+                                     [x + width - MACROBLOCK / 2, y + height]]))

@@ -1,0 +1,133 @@
+"""Where the labels miss an obstacle that is followed: its vectors, looked for where it must be.
+
+Labels of one pair cannot tell a car that drives as fast as the camera from what is far off, nor a
+slow one from noise. A track knows where the obstacle is and how it moves: blocks there that move
+so are its own. They correct the rate and, weakly, the place; the depth is left to the labels.
+"""
+
+from mv_slapse.config import ObstacleSettings
+from mv_slapse.filters import ekf
+from mv_slapse.geometry import moving_plane
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.obstacles import motion_model as om
+from mv_slapse.obstacles.detection import (
+    bearing_covariance,
+    blurred,
+    box_of,
+    Detection,
+    Edge,
+    inside,
+    tiles,
+)
+from mv_slapse.obstacles.view import View
+from mv_slapse.records import Extraction, Label, MotionStatus, ScalePrior
+import numpy as np
+
+LEAST_SHARE = 0.5  # of the blocks there that must move with the obstacle
+LEAST_COVERED = 0.3  # share of its box, and of the lower half of that, that these must cover
+GATE = 0.99  # share of its own blocks that pass
+ITERATIONS, COARSE = 8, 3  # of the reweighting, and of these with a wider kernel
+FOLLOW = 0.3  # share by which the outline follows what is found
+WEAK = 1e-6  # share of the prediction's information that counts as seen
+FREE_SLOPE = 1.0  # standard deviation: vectors inside a box tell little of the slope
+
+
+def found(mu: np.ndarray, P: np.ndarray, box: np.ndarray, extraction: Extraction, view: View,
+          settings: ObstacleSettings) -> Detection | None:
+    """Return a predicted obstacle's own blocks as a detection without depth, or None.
+
+    Parameters
+    ----------
+    mu, P : (8,), (8, 8) arrays
+        Predicted state.
+    box : (4,) array
+        Predicted box of its body in the picture [px].
+    extraction : Extraction
+        Its planes keep their blocks.
+    view, settings : View, ObstacleSettings
+    """
+    at = _free(extraction, box)
+    if len(at) < settings.min_macroblocks:
+        return None
+
+    rays = to_rays(view.K, extraction.x_cur[at].astype(float))
+    theta, information, near, own = _rate(mu, P, rays, extraction, at, view,
+                                          settings.vector_bias)
+    least = max(settings.min_macroblocks, LEAST_SHARE * len(at))
+    if not _fill(extraction, at[near], box, least):
+        return None
+    # What of the blocks is its own, and so how it moves, is not to be told where they disagree.
+    agree = _fill(extraction, at[own], box, least)
+    own = own if agree else near
+    seen = box_of(extraction.x_cur[at[own]].astype(float), extraction.block[at[own]].astype(float))
+    z, R = _observed(mu, P, theta / view.dt, np.linalg.inv(information) / view.dt**2)
+    z[om.BEARING] = to_rays(view.K, (seen[:2] + seen[2:] / 2)[None])[0, :2]
+    x, block = tiles(box + FOLLOW * (seen - box))
+    R[om.BEARING, om.BEARING] = 4 * bearing_covariance(seen, block, view)
+    return blurred(Detection(-1, z, R, False, x, block, ScalePrior.NONE, Edge(0.0, 0.0, 1.0),
+                             has_rate=agree), view, settings)
+
+
+def _observed(mu, P, rate, covariance):
+    """Return a state (8,) with a rate that was seen, and its covariance (8, 8)."""
+    z, R = mu.copy(), np.diag(np.r_[0.0, 0.0, P[2, 2], np.zeros(3), np.full(2, FREE_SLOPE**2)])
+    z[om.RATE], R[om.RATE, om.RATE] = rate, covariance
+    return z, R
+
+
+def _free(extraction, box):
+    """Return the blocks (M,) int inside a box that are on no plane and may be an obstacle's.
+
+    To a camera that drives all may: what goes as fast looks stationary, and far off.
+    """
+    rests = (extraction.label == Label.STATIONARY) & (
+        extraction.motion.status is MotionStatus.STANDSTILL)
+    return np.flatnonzero(inside(extraction.x_cur, box) & (extraction.plane_id < 0) & ~rests)
+
+
+def _fill(extraction, own, box, number):
+    """Tell whether blocks (M,) int are that many, and cover enough of a box and its lower half.
+
+    What is far behind a car ahead moves as it does, but not where the car hides the road.
+    """
+    area = extraction.block[own].astype(float).prod(axis=1)
+    low = extraction.x_cur[own, 1] > box[1] + box[3] / 2
+    least = LEAST_COVERED * np.prod(box[2:])
+    return bool(len(own) >= number and area.sum() >= least and area[low].sum() >= least / 2)
+
+
+def _rate(mu, P, rays, extraction, at, view, bias):
+    """Return displacement over depth (3,), its information (3, 3), and which blocks (N,) bool.
+
+    The blocks that move as predicted, as far as that is known, and those of them that move as
+    one. What lies behind an obstacle, or before it, may pass for its own by a prediction that
+    lags, as where it brakes; it does not agree with the rest.
+    """
+    prior = view.dt**2 * P[om.RATE, om.RATE]
+    theta = np.r_[view.dt * mu[om.RATE], mu[om.SLOPE]]
+    variance = extraction.sigma[at].astype(float)**2 + bias**2
+    target, limit = extraction.x_prev[at].astype(float), ekf.chi2_bound(GATE, 2)
+    weak = WEAK * np.linalg.inv(prior)  # one block alone leaves the rate open
+    error, J = _errors(theta, mu, rays, target, view)
+    S = J @ prior @ np.swapaxes(J, 1, 2) + variance[:, None, None] * np.eye(2)
+    near = np.einsum('ni,ni->n', error, np.linalg.solve(S, error[:, :, None])[:, :, 0]) < limit
+    for i in range(ITERATIONS if near.any() else 0):
+        squared = np.sum(error**2, axis=1) / variance
+        # While the start is bad the kernel is twice as wide as half of the blocks reach.
+        width = max(limit, 4 * np.median(squared[near])) if i < COARSE else limit
+        weighted = J * (near / (1 + squared / width)**2 / variance)[:, None, None]
+        information = np.einsum('nij,nik->jk', weighted, J) + weak
+        theta[moving_plane.RATE] += np.linalg.solve(
+            information, np.einsum('nij,ni->j', weighted, error))
+        error, J = _errors(theta, mu, rays, target, view)
+    squared = np.sum(error**2, axis=1) / variance
+    own = near & (squared < limit)
+    information = np.einsum('nij,nik->jk', J[own] / variance[own, None, None], J[own]) + weak
+    spread = squared[own].sum() / max(2 * own.sum() - 3, 1)
+    return theta[moving_plane.RATE], information / max(spread, 1.0), near, own
+
+
+def _errors(theta, mu, rays, target, view):
+    """Return errors (N, 2) of a rate and slope (5,) [px] and their Jacobian (N, 2, 3) by rate."""
+    x_prev, J = moving_plane.transfer(theta, rays, mu[om.BEARING], view.K, view.R_cur_from_prev)
+    return target - x_prev, J[:, :, moving_plane.RATE]

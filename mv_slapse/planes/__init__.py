@@ -1,1 +1,0 @@
-"""From correspondences to labelled planes and camera motion."""

@@ -1,0 +1,1 @@
+"""Filter of the camera and of the stationary planes."""

@@ -1,0 +1,391 @@
+"""Filter of the camera and the stationary planes: SceneFilter.step, [SLAPSE] VI, [MVO] 5."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from mv_slapse.blas import one_thread
+from mv_slapse.config import SceneSettings
+from mv_slapse.geometry import rotation, two_view
+from mv_slapse.records import (
+    Extraction,
+    Label,
+    MotionStatus,
+    PlaneHandover,
+    Speed,
+    TrackingStatus,
+)
+from mv_slapse.scene import gating as scene_gate
+from mv_slapse.scene import gauge as scene_gauge
+from mv_slapse.scene import input as scene_input
+from mv_slapse.scene import observations as scene_observations
+from mv_slapse.scene import plane_map as scene_map
+from mv_slapse.scene import record as scene_record
+from mv_slapse.scene import state as scene_state
+from mv_slapse.scene import update as scene_update
+from mv_slapse.scene.noise import Agreement, Dependence
+from mv_slapse.scene.observations import Observation
+from mv_slapse.scene.progress import Progress
+from mv_slapse.scene.scale import ratio as scene_ratio
+from mv_slapse.scene.scale import rest as scene_rest
+from mv_slapse.scene.scale import speed as scene_speed
+from mv_slapse.scene.scale.ride import Ride
+from mv_slapse.scene.scale.speed import Way
+from mv_slapse.scene.scale.speed_log import SpeedLog
+from mv_slapse.scene.state import SceneState
+import numpy as np
+
+UP_CAM = np.array([0.0, -1.0, 0.0])
+PATIENCE = 5  # key frames in which a plane may contradict the map
+START = 3.0  # factor on the random walk of the velocity while the camera starts to move
+REST_SIGMA = 1.0  # of the log of a first baseline that is guessed
+UNTOLD_SIGMA = 0.5  # of the log of a baseline that nothing tells: a flight may halve its way
+SLOW = 0.1  # share of the highest speed that is guessed where a start shows no known plane
+STANDING = 'the camera stands still'
+TURNING = 'the camera turns on the spot'
+SCALELESS = ('no known plane is in view: the direction of the way is observed, its length is '
+             'predicted')
+CONTRADICTED = 'all known planes in view contradict the map'
+FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
+FIRST_METRIC_SIGMA = 0.1  # of the ground's depth, or the way, in the pair that tells metres
+
+
+class SceneFilter:
+    """Follows the camera's pose and the stationary planes from extraction to extraction.
+
+    Attributes
+    ----------
+    distances : dict of float
+        Squared Mahalanobis distance of each known plane that the last pair showed from its
+        prediction, by its id, over the running mean of such (see scene_noise.Agreement):
+        chi-square with 3 degrees of freedom where the filter is consistent.
+    """
+
+    def __init__(self, settings: SceneSettings):
+        """Start before the first key frame."""
+        self._settings = settings
+        self._state: SceneState | None = None
+        self._progress = Progress(0)
+        self._map = scene_map.SceneMap()
+        self.distances: dict[int, float] = {}
+        self._ride, self._agreement = Ride(), Agreement()
+        self._dependence = Dependence(settings.dependence)
+        self._speeds = SpeedLog()
+
+    @one_thread
+    def step(self, extraction: Extraction, handovers: Sequence[PlaneHandover] = (),
+             speeds: Sequence[Speed] = ()):
+        """Take in one key frame pair.
+
+        Parameters
+        ----------
+        extraction : Extraction
+            In the order of stamps.
+        handovers : sequence of PlaneHandover
+            Planes that have come to rest, from the obstacle tracker.
+        speeds : sequence of Speed
+            Told since the step before, if any: these make the scale metric.
+
+        Returns
+        -------
+        estimate : SceneEstimate
+            Pose, velocity and map at the pair's key frame; ``status`` says how far to trust it.
+        handovers : list of PlaneHandover
+            Planes of the map that have started to move.
+        """
+        self._speeds.feed(speeds)
+        if self._state is None:
+            self._begin(extraction)
+        self._map.accept(self._state, handovers)
+        leaving = self._map.release(self._state, extraction)
+        status, reason = self._advance(extraction)
+        return scene_record.estimate(self._state, self._map.planes(self._state), extraction.stamp,
+                                     status, reason, self._progress.source), leaving
+
+    def _begin(self, extraction: Extraction):
+        """Put {W} at the first key frame."""
+        self._state = scene_state.start(UP_CAM, FREE_SIGMA, 1.0, 0.07)
+        self._sway(np.inf)
+        self._progress = Progress(extraction.previous_stamp)
+
+    def _advance(self, extraction: Extraction):
+        """Predict to the key frame and correct; return the tracking status and its reason."""
+        status = extraction.motion.status
+        follows = self._catch_up(extraction)
+        dt, reason = self._elapsed(extraction.stamp), extraction.reason
+        if status != MotionStatus.UNKNOWN and scene_gauge.is_vague(self._state):
+            self._begin_anew()
+        if status == MotionStatus.STANDSTILL:
+            return self._stand(extraction)
+        if status == MotionStatus.ROTATION_ONLY:
+            return self._turn(extraction, dt)
+        if self._progress.supported is None and status != MotionStatus.MOVING:
+            return TrackingStatus.INITIALISING, reason
+        if status == MotionStatus.UNKNOWN:
+            self._coast(dt, extraction.previous_stamp)
+            return self._unsupported(extraction.stamp, reason)
+        self._predict(dt)
+        return self._correct(extraction, follows)
+
+    @property
+    def _is_tied(self) -> bool:
+        """Whether more than the map tells lengths: metres, or a height that stays."""
+        return self._progress.metric or self._ride.height > 0
+
+    def _elapsed(self, stamp: int) -> float:
+        """Return the time [s] since the last key frame; as usual where a clock was set back."""
+        progress = self._progress
+        dt = (stamp - progress.stamp) * 1e-9
+        if dt > 0:
+            progress.interval = dt
+        elif progress.supported is not None:
+            progress.supported = min(progress.supported, stamp)
+        progress.stamp = stamp
+        return progress.interval
+
+    def _catch_up(self, extraction: Extraction) -> bool:
+        """Predict through pairs that never came; return whether there was none.
+
+        A pair relates its own two key frames: the earlier one must be the filter's last.
+        """
+        gap = (extraction.previous_stamp - self._progress.stamp) * 1e-9
+        if gap <= 0:
+            return True
+        start, self._progress.stamp = self._progress.stamp, extraction.previous_stamp
+        if self._progress.supported is not None:
+            self._coast(gap, start)
+        return False
+
+    def _begin_anew(self):
+        """Begin a new local frame where the heading has been lost: no plane's place is known."""
+        for id in list(self._state.planes):
+            self._map.leave(self._state, id)
+            self._state.remove_plane(id)
+        scene_gauge.begin_anew(self._state, self._is_tied)
+        self._progress.anew = self._progress.started
+
+    def _stand(self, extraction: Extraction):
+        """Zero-velocity update: the pose stays exactly as it is, so nothing drifts."""
+        state = self._state
+        state.previous = state.current.copy()
+        if not self._progress.started:
+            return self._rested(extraction, STANDING)
+        scene_state.halt(state, np.zeros(3), np.eye(3) * 1e-4)
+        prev, cur = state.at('previous'), state.at('current')
+        state.error.P[prev, :] = state.error.P[cur, :]
+        state.error.P[:, prev] = state.error.P[:, cur]
+        state.error.lasting[prev] = state.error.lasting[cur]
+        return self._rested(extraction, STANDING)
+
+    def _rested(self, extraction: Extraction, reason: str):
+        """Note that the camera has not moved; planes out of view do not age meanwhile."""
+        progress = self._progress
+        progress.rested = progress.started
+        progress.supported = extraction.stamp
+        self._map.wait(extraction.stamp - extraction.previous_stamp)
+        return TrackingStatus.OK, reason
+
+    def _turn(self, extraction: Extraction, dt: float):
+        """Turn a camera that stays where it is, but for a pixel of the nearest plane."""
+        motion, started = extraction.motion, self._progress.started
+        focal = extraction.K[0, 0]
+        noise = motion.covariance[:3, :3] * self._dependence.value + np.eye(3) * (
+            self._settings.vector_bias / focal)**2
+        scene_state.turn_on_the_spot(
+            self._state, motion.R_cur_from_prev, noise,
+            started * scene_rest.reach(self._state) / focal, self._settings.focal_sigma)
+        if not started:
+            return TrackingStatus.INITIALISING, TURNING
+        scene_state.halt(self._state, -rotation.log(motion.R_cur_from_prev) / dt, noise / dt**2)
+        return self._rested(extraction, TURNING)
+
+    def _predict(self, dt: float):
+        """Move the camera at constant velocity; the planes change along the way."""
+        settings, state = self._settings, self._state
+        speed = np.linalg.norm(state.velocity)
+        # Not the speed now: what comes to rest could hardly start again, the scale would shrink.
+        self._progress.fastest = max(speed, self._progress.fastest)
+        density = (settings.acceleration if self._progress.metric
+                   else settings.free_acceleration * self._progress.fastest)
+        # Between two key frames a start is no random walk.
+        density *= START if self._progress.rested else 1.0
+        scene_state.propagate(state, dt, density, settings.angular_acceleration,
+                              settings.turn_rate)
+        self._sway(dt)
+        if self._is_tied:
+            # Where nothing else carries the scale the planes do, and stay as they are.
+            scene_state.renew(state, settings.relief)
+        ground = self._map.ground
+        if ground in state.planes:
+            # The road bends below the vehicle, so about its place; a vehicle's camera rides some
+            # 1.5 m high, which tells metres where the scale is free.
+            scene_state.move_anchor(state, ground, state.previous.t)
+            height = 1 / np.linalg.norm(state.planes[ground].plane)
+            metres = speed * dt * (1.0 if self._progress.metric else 1.5 / height)
+            scene_state.bend(state, ground, settings.ground_slope * np.sqrt(metres))
+
+    def _coast(self, dt: float, start: int):
+        """Move on from a stamp without a view: a mounted camera stays upright, a speed counts."""
+        self._predict(dt)
+        self._progress.carried = False
+        ground, turn = self._map.ground, float(np.linalg.norm(self._state.omega)) * dt
+        way = self._way(start, turn) if self._progress.metric else None
+        observations = self._rigid(ground) if ground in self._state.planes else []
+        observations += [scene_speed.observed(way, self._settings)] if way else []
+        if observations and self._state.velocity.any():
+            self._state = scene_update.observe(self._state, observations, self._settings)
+
+    def _way(self, start: int, turn: float) -> Way | None:
+        """Return the way [m] since a stamp by the speeds given, if they tell one that can be."""
+        return scene_speed.way(self._speeds, self._state, self._progress, start, turn,
+                               self._settings)
+
+    def _sway(self, dt: float):
+        """Let the camera's height above the road swing for dt [s]."""
+        settings = self._settings
+        scene_state.sway(self._state, dt, settings.camera_height_sigma,
+                         settings.camera_height_time)
+
+    def _unsupported(self, stamp: int, reason: str):
+        """Judge a pose that is predicted only."""
+        age = (stamp - self._progress.supported) * 1e-9
+        if age > self._settings.lost_after:
+            return TrackingStatus.LOST, f'{reason}; nothing observed for {age:.1f} s'
+        return TrackingStatus.PREDICTED, reason
+
+    def _correct(self, extraction: Extraction, follows: bool):
+        """Update with the pair's correspondences and with what is known of the scale."""
+        first = not self._progress.started or self._progress.anew
+        turn = rotation.angle(extraction.motion.R_cur_from_prev)
+        way = self._way(extraction.previous_stamp, turn)
+        self._ride = self._ride.kept(self._state, extraction.motion)
+        self._progress.anew, baseline = False, self._baseline(extraction, way)
+        pair, plane_id = scene_input.stationary(extraction)
+        settings = self._measured(pair, extraction)
+        shown = scene_input.shown(self._state.previous, extraction.motion, baseline)
+        expected = replace(self._state, current=shown) if self._progress.rested else self._state
+        known = self._known(scene_gate.distances(expected, extraction, settings))
+        trusted = self._trusted(extraction, known)
+        ground = scene_gate.ground_of(extraction, trusted)
+        ids = self._map.join(self._state, extraction, known, trusted, baseline, shown)
+        index = np.full(len(pair), -1)
+        for i, id in enumerate(ids):
+            index[plane_id == id] = i
+        depths = scene_ratio.depths_of(pair, extraction.motion, settings)
+        ratio = (scene_ratio.told(self._state, extraction, depths, settings)
+                 if follows and self._progress.carried else [])
+        if ratio:
+            # Braking hard, a step from the length predicted would go beyond zero, and backwards.
+            shown = scene_input.shown(self._state.previous, extraction.motion,
+                                      float(np.exp(self._state.depth_scale)))
+        start = self._state.error_to(replace(self._state, current=shown))
+        gauge = self._gauge(baseline, first, way, bool(known or ratio))
+        observations = [*self._rigid(ground), *gauge, *ratio]
+        self._state = scene_update.update(
+            self._state, start, pair, index, ids, settings, observations)
+        if not ratio:
+            self._progress.carried = scene_ratio.begin(self._state, depths, settings.ratio_sigma)
+        if first or self._progress.rested:
+            scene_state.doubt_speed(self._state)
+        self._ride = self._ride.seen(self._state, extraction, ground, settings)
+        self._map.observe(self._state, extraction, ids)
+        self._forget(extraction.stamp)
+        if first or known or (ratio or way) and not self.distances:
+            self._progress.supported = extraction.stamp
+            self._progress.rested, self._progress.started = False, True
+            return TrackingStatus.OK, ''
+        return self._unsupported(extraction.stamp, CONTRADICTED if self.distances else SCALELESS)
+
+    def _known(self, distances: dict[int, float]) -> set[int]:
+        """Return the planes that are where they were predicted, by their squared distances."""
+        self.distances = {id: squared / self._agreement.scale
+                          for id, squared in distances.items()}
+        self._agreement = self._agreement.seen(distances.values())
+        return {id for id, squared in self.distances.items() if squared < self._settings.gate}
+
+    def _trusted(self, extraction: Extraction, known: set[int]) -> set[int]:
+        """Return the planes seen that the update may use, and count what contradicts the map.
+
+        One pair's plane is wrong far more often than the map's, so one that contradicts the map
+        must do so for a while before it takes the other's place.
+        """
+        shown = {plane.id for plane in extraction.planes if plane.label == Label.STATIONARY}
+        contradicting = shown & self._state.planes.keys() - known
+        misses = self._progress.misses
+        misses.update(contradicting)
+        trusted = {id for id in shown if id not in contradicting or misses[id] > PATIENCE}
+        for id in trusted:
+            del misses[id]
+        return trusted
+
+    def _baseline(self, extraction: Extraction, way: Way | None) -> float:
+        """Return the best guess of the distance between the pair's key frames [map unit]."""
+        settings, progress = self._settings, self._progress
+        guess = np.linalg.norm(self._state.current.t - self._state.previous.t)
+        ground = scene_gate.ground_plane(extraction)
+        if way:
+            if not progress.metric:
+                self._make_metric(way.length / max(guess, 1e-9), scene_speed.SOURCE)
+            return way.length
+        if progress.rested:
+            height = progress.metric * settings.camera_height or self._ride.height
+            slow = SLOW * progress.fastest * (extraction.stamp - extraction.previous_stamp) * 1e-9
+            return scene_rest.first_baseline(self._state, extraction, height) or max(guess, slow)
+        if not progress.metric and settings.camera_height and ground is not None:
+            # The camera's height is the ground's depth: 1 / |n/d| in units of the baseline.
+            metric = settings.camera_height * float(np.linalg.norm(ground))
+            self._make_metric(metric / max(guess, 1e-9), 'camera height')
+            return metric
+        if progress.started and guess > 1e-9:
+            return guess
+        supposed = scene_rest.supposed_baseline(extraction, settings.camera_height)
+        scene_gauge.doubt_scale(self._state, scene_rest.SUPPOSED_SIGMA if supposed else 0.0)
+        return supposed or 1.0
+
+    def _make_metric(self, factor: float, source: str):
+        """Make lengths metres by a factor, which compares one pair with its prediction."""
+        if self._progress.started:
+            scene_state.scale_lengths(self._state, factor)
+            self._progress.fastest *= factor
+            self._map.scale(factor)
+            self._ride = self._ride.scaled(factor)
+            scene_state.widen_scale(self._state, FIRST_METRIC_SIGMA)
+        scene_gauge.doubt_scale(self._state, 0.0)
+        self._progress.source = source
+
+    def _measured(self, pair: two_view.Pair, extraction: Extraction) -> SceneSettings:
+        """Return the settings with what the stream has shown of its noise."""
+        motion = extraction.motion
+        self._dependence = self._dependence.seen(pair, motion.R_cur_from_prev,
+                                                 motion.t_cur_from_prev)
+        return replace(self._settings, dependence=self._dependence.value)
+
+    def _gauge(self, baseline: float, first: bool, way: Way | None,
+               told: bool) -> list[Observation]:
+        """Return the length of the first baseline, which is the unit, or the guess after a rest.
+
+        Or of any by its speed. Where nothing has told one it stays about as predicted: directions
+        alone, which err, would draw it toward zero.
+
+        Predicted from rest a baseline is zero, about which its direction would mean nothing.
+        """
+        progress = self._progress
+        if way:
+            return [scene_speed.observed(way, self._settings)]
+        if first or progress.rested:
+            sigma = REST_SIGMA if progress.rested or self._is_tied else 1e-3
+        elif told:
+            return []
+        else:
+            sigma = UNTOLD_SIGMA
+        return [scene_observations.baseline(baseline, sigma)]
+
+    def _rigid(self, ground: int | None) -> list[Observation]:
+        """Return what is known of a mounted camera."""
+        return [] if ground is None else self._ride.observations(ground, self._settings)
+
+    def _forget(self, stamp: int):
+        """Marginalise planes out that have had no support for long, unless they may return."""
+        lifetime = self._settings.plane_lifetime * 1e9
+        for id in self._map.overdue(self._state, stamp, lifetime):
+            self._map.leave(self._state, id)
+            self._state.remove_plane(id)

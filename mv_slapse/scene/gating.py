@@ -1,0 +1,55 @@
+"""Which planes of the map a new extraction may correct."""
+
+from mv_slapse.config import SceneSettings
+from mv_slapse.kernels.binding import compiled
+from mv_slapse.records import Extraction, Label, PlaneObservation
+from mv_slapse.scene.state import log_baseline, SceneState
+import numpy as np
+
+RATIO_GATE = 10.8  # 99.9 % of chi-square with one degree of freedom
+
+
+def ground_of(extraction: Extraction, trusted: set[int]) -> int | None:
+    """Return the id of the ground, None where none of the trusted planes is it."""
+    return next((plane.id for plane in extraction.planes
+                 if plane.is_ground and plane.id in trusted), None)
+
+
+def ground_plane(extraction: Extraction) -> np.ndarray | None:
+    """Return the ground (3,) in camera k [1/baseline], None where it is not seen."""
+    return next((plane.plane for plane in extraction.planes if plane.is_ground), None)
+
+
+def distances(state: SceneState, extraction: Extraction,
+              settings: SceneSettings) -> dict[int, float]:
+    """Return the squared distance of each known plane from the predicted state, by its id."""
+    seen = [plane for plane in extraction.planes
+            if plane.label == Label.STATIONARY and plane.id in state.planes]
+    found = squared_distances(state, seen, settings)
+    return dict(zip([plane.id for plane in seen], found.tolist(), strict=True))
+
+
+def holds_length(state: SceneState, length: float, sigma: float) -> bool:
+    """Tell whether a length of the way [map unit] agrees with the predicted one.
+
+    ``sigma`` is its standard deviation as a share. Wheels that slip or stand contradict it.
+    """
+    value, H = log_baseline(state)
+    variance = H @ state.error.total @ H + sigma**2
+    return bool((value - np.log(length))**2 < RATIO_GATE * variance)
+
+
+def squared_distances(state: SceneState, seen: list[PlaneObservation],
+                      settings: SceneSettings) -> np.ndarray:
+    """Squared Mahalanobis distances (K,) between planes seen and the map's, in baselines.
+
+    The observation is plane_in_camera * |t|: two views know a plane only up to their baseline.
+    Infinite where there is no baseline.
+    """
+    shown = np.array([plane.plane for plane in seen]).reshape(-1, 3)
+    biased = settings.depth_bias * shown
+    noise = settings.depth_dependence * np.array([plane.covariance for plane in seen]).reshape(
+        -1, 3, 3) + biased[:, :, None] * biased[:, None]
+    return compiled.scene_distances(*state.arrays, state.error.P,
+                                    state.positions([plane.id for plane in seen]), shown,
+                                    noise.reshape(-1, 9))

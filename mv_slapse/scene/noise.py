@@ -1,0 +1,109 @@
+"""How far the motion vectors of a stream err together, measured while running."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from mv_slapse.config import SceneSettings
+from mv_slapse.geometry import two_view
+from mv_slapse.kernels.binding import compiled
+from mv_slapse.records import Extraction
+from mv_slapse.scene import gating as scene_gate
+from mv_slapse.scene.state import log_baseline, SceneState
+import numpy as np
+
+WIDTH = 3.0  # of the kernel, as in the update
+LEAST = 50  # correspondences whose errors can tell
+SLOW = 0.1  # weight of the newest pair in the running mean: some 10 pairs
+WANDER_TIME = 1.0  # s, of the mean departure of the height: single pairs are noise
+FORGET_TIME = 5.0  # s, in which a wandering height is forgotten
+TENTH = 6.25  # chi-square of 3 degrees of freedom is larger once in ten
+AGREEMENT_STEP = 0.3  # of the log of the scale: some 60 planes seen make it a sixth
+LEAST_SCALE = 0.1  # a tenfold conservative covariance; a lower one was not met on real streams
+BOUNDS = (1.0, 30.0)  # a pair says little beyond: too few blocks remain independent
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Correspondences that tell as much as one independent one, over the last pairs.
+
+    ``pairs`` were seen; the value before any counts as one.
+    """
+
+    value: float
+    pairs: int = 1
+
+    def seen(self, pair: two_view.Pair, R, t) -> 'Dependence':
+        """Return it after one more pair, whose motion is R_cur_from_prev, t_cur_from_prev.
+
+        The mean is one of logarithms: a pair in which a mover passes for the scene has a value
+        many times too large.
+        """
+        if len(pair) < LEAST:
+            return self
+        weight = max(SLOW, 1 / (self.pairs + 1))
+        newest = np.log(np.clip(measured(pair, R, t), *BOUNDS))
+        mean = np.log(self.value) + weight * (newest - np.log(self.value))
+        return Dependence(float(np.exp(mean)), self.pairs + 1)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well planes seen again agree with what was predicted of them.
+
+    ``scale`` is the square of their errors over what their covariances say: what the prediction
+    allows for, such as braking hard, seldom comes, and a gate for it lets in what is wrong.
+    """
+
+    scale: float = 1.0
+
+    def seen(self, distances: Iterable[float]) -> 'Agreement':
+        """Return it after one more pair's squared distances, three degrees of freedom each.
+
+        Follows the distance that one in ten exceeds, which outliers hardly move. Never above 1:
+        a map that is wrong must not widen the gate.
+        """
+        scale = self.scale
+        for distance in distances:
+            beyond = float(distance > TENTH * scale)
+            scale *= np.exp(AGREEMENT_STEP * (beyond - 0.1))
+        return Agreement(float(np.clip(scale, LEAST_SCALE, 1.0)))
+
+
+@dataclass(frozen=True)
+class HeightWander:
+    """How far the height that the ground shows departs from the scale that is carried along.
+
+    ``mean`` is its running mean as a share of the height, ``square`` that mean's running square.
+    Where vectors on the road are wrong in bulk, the height wanders for seconds, and the scale
+    after it: its error lasts and is larger than that of a well measured height.
+    """
+
+    mean: float = 0.0
+    square: float = 0.0
+
+    def seen(self, state: SceneState, extraction: Extraction,
+             settings: SceneSettings) -> 'HeightWander':
+        """Return it after one more pair."""
+        ground = scene_gate.ground_plane(extraction)
+        if not settings.camera_height or ground is None:
+            return self
+        metric = np.log(settings.camera_height * np.linalg.norm(ground))
+        departure = float(metric - log_baseline(state)[0])
+        dt = (extraction.stamp - extraction.previous_stamp) * 1e-9
+        mean = self.mean + min(dt / WANDER_TIME, 1.0) * (departure - self.mean)
+        return HeightWander(mean, self.square + min(dt / FORGET_TIME, 1.0) * (
+            mean**2 - self.square))
+
+    def lasting(self, settings: SceneSettings) -> float:
+        """Return the standard deviation of what lasts of the height's error, as a share."""
+        return float(np.hypot(settings.camera_height_bias, np.sqrt(self.square)))
+
+
+def measured(pair: two_view.Pair, R, t) -> float:
+    """Return the variance of a mean of errors, over what independent ones would have.
+
+    Errors are those across epipolar lines, which no plane has to explain. Each is weighed as the
+    update weighs it; products with all errors in the window around add up to the variance.
+    """
+    return compiled.error_dependence(pair.rays_cur, pair.rays_prev, pair.sigma, pair.x_prev,
+                                     pair.focal, R, t, WIDTH)

@@ -1,0 +1,135 @@
+"""What the scene filter observes beside correspondences: lengths, mounting, course.
+
+Each is told by a record; the kernel ``scene_update`` linearises it where the state is, again at
+each step.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple
+
+from mv_slapse.config import SceneSettings
+from mv_slapse.kernels.binding import compiled
+from mv_slapse.scene.state import (
+    HEIGHT,
+    N_LASTING,
+    plane_in_camera,
+    plane_in_camera_jacobian,
+    SceneState,
+    SPEED,
+)
+import numpy as np
+
+PAIR_HEIGHT = 1e-3  # share of the height by which a pair errs besides: crown and ruts
+
+
+class Kind(IntEnum):
+    """What is observed, as in kernels/scene.hpp."""
+
+    CAMERA_HEIGHT = 0
+    MOUNTING = 1
+    LEVEL_COURSE = 2
+    BASELINE = 3
+    DEPTH_RATIO = 4
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One direct observation of a scene's state.
+
+    Attributes
+    ----------
+    kind : Kind
+    sigma : float
+        Standard deviation of each of its elements.
+    value : float
+        Height or length that is observed, where there is one [map unit].
+    plane : int or None
+        Id of the plane that it is about.
+    lasting : (N_LASTING,) array
+        What one standard deviation of each lasting error does to it.
+    depths : (18,) array
+        Of a DEPTH_RATIO: R and t of the pair's own motion, and the slope of its depths, see
+        scale.ratio.Depths.
+    """
+
+    kind: Kind
+    sigma: float
+    value: float = 0.0
+    plane: int | None = None
+    lasting: np.ndarray = field(default_factory=lambda: np.zeros(N_LASTING))
+    depths: np.ndarray = field(default_factory=lambda: np.zeros(18))
+
+    def row(self, state: SceneState) -> np.ndarray:
+        """Return it (30,) as the kernels take it; the plane by its position in the state."""
+        place = -1 if self.plane is None else list(state.planes).index(self.plane)
+        return np.concatenate([(self.kind, place, self.value, self.sigma), self.lasting,
+                               self.depths])
+
+
+class Linearised(NamedTuple):
+    """Innovation z - h (m,) and derivative H of h (m, n) by the error state."""
+
+    innovation: np.ndarray
+    H: np.ndarray
+
+
+def rows(observations: list[Observation], state: SceneState) -> np.ndarray:
+    """Return observations (K, 30) as the kernels take them."""
+    return np.array([one.row(state) for one in observations]).reshape(-1, 30)
+
+
+def linearised(observation: Observation, state: SceneState) -> Linearised:
+    """Return what an observation says at a state."""
+    return Linearised(*compiled.scene_observe(*state.arrays, rows([observation], state)))
+
+
+def mounted(ground: int, settings: SceneSettings, lasting: np.ndarray) -> list[Observation]:
+    """Return what is known of a camera that is mounted on a ground vehicle.
+
+    ``ground`` is the plane it drives on, ``lasting`` (N_LASTING,) what errors that last do to its
+    height, as shares of it.
+    """
+    height = settings.camera_height
+    return [camera_height(ground, height, PAIR_HEIGHT * height, lasting * height),
+            Observation(Kind.MOUNTING, settings.mounting_sigma, plane=ground),
+            Observation(Kind.LEVEL_COURSE, settings.course_sigma)]
+
+
+def camera_height(ground: int, height: float, sigma: float,
+                  lasting: np.ndarray | float = 0.0) -> Observation:
+    """Observe the camera's height [m] above the ground plane, which sets the scale.
+
+    The height swings about its mean (see SceneState.heave).
+
+    Parameters
+    ----------
+    ground : int
+    height, sigma : float
+        The mean height and the error of one pair [m].
+    lasting : (N_LASTING,) array or float
+        What each lasting error does to the height [m]; a float: what of it is wrong for good.
+    """
+    error = np.zeros(N_LASTING)
+    error[slice(None) if np.ndim(lasting) else HEIGHT] = lasting
+    return Observation(Kind.CAMERA_HEIGHT, sigma, height, ground, error)
+
+
+def height_above(state: SceneState, ground: int) -> tuple[float, np.ndarray]:
+    """Return the camera's height above a plane of the map, and the derivative (n,) of its log."""
+    plane = plane_in_camera(state, ground)
+    by_pose, by_plane = plane_in_camera_jacobian(state, ground)
+    upward, H = -plane / (plane @ plane), np.zeros(state.size)
+    H[state.at('current')], H[state.at(ground)] = upward @ by_pose, upward @ by_plane
+    return float(1 / np.linalg.norm(plane)), H
+
+
+def baseline(length: float, sigma: float, lasting: float = 0.0) -> Observation:
+    """Observe the distance between the two poses [map unit] but for sigma, a share of it.
+
+    Where the scale is free the first one is the gauge: 1. ``lasting`` is the share by which a
+    speed that tells it is wrong for good.
+    """
+    error = np.zeros(N_LASTING)
+    error[SPEED] = lasting
+    return Observation(Kind.BASELINE, sigma, length, lasting=error)

@@ -1,0 +1,210 @@
+"""What the map knows of its planes besides their state: outline, age, support."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from mv_slapse.kernels.binding import compiled
+from mv_slapse.records import Extraction, Label, MapPlane, PlaneHandover
+from mv_slapse.scene import gauge as scene_gauge
+from mv_slapse.scene.state import AnchoredPlane, Pose, SceneState
+import numpy as np
+
+FARTHEST = 30.0  # an outline ends this many plane depths from the camera: beyond, a block's
+#                  position on a grazing plane is noise
+
+WELL_SEEN = 5  # key frames that show a plane which is worth keeping
+MOST_HELD = 30  # planes in the filter: its time grows with the square of them
+MOST_LEFT = 200  # planes that the filter gave up and the map still shows
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """History of one plane: stamps [ns], counts, and its outline (M, 3) in {W}."""
+
+    first_stamp: int
+    last_stamp: int
+    n_observations: int = 0
+    n_macroblocks: int = 0
+    outline: np.ndarray | None = None
+    is_ground: bool = False
+
+
+class SceneMap:
+    """History of the planes that the scene filter holds."""
+
+    def __init__(self):
+        """Start empty."""
+        self._sightings: dict[int, Sighting] = {}
+        self._waited, self._seen = 0, {}
+        self._left: dict[int, MapPlane] = {}
+
+    @property
+    def ground(self) -> int | None:
+        """Return the id of the ground seen last."""
+        grounds = [id for id, sighting in self._sightings.items() if sighting.is_ground]
+        return max(grounds, key=lambda id: self._sightings[id].last_stamp, default=None)
+
+    def remove(self, id: int):
+        """Forget a plane."""
+        del self._sightings[id], self._seen[id]
+
+    def leave(self, state: SceneState, id: int):
+        """Keep a wall that the filter gives up as it was last known, if it was well seen.
+
+        Not the ground: elsewhere the road is another plane.
+        """
+        if not self.is_lasting(id):
+            self.remove(id)
+            return
+        self._sightings[id] = replace(self._sightings[id], n_macroblocks=0)
+        self._left[id] = self._map_planes(state)[id]
+        if len(self._left) > MOST_LEFT:
+            oldest = min(self._left, key=lambda id: self._left[id].last_stamp)
+            del self._left[oldest]
+            self.remove(oldest)
+
+    def is_lasting(self, id: int) -> bool:
+        """Tell whether a plane is a wall that was seen often enough to be worth keeping."""
+        sighting = self._sightings[id]
+        return sighting.n_observations >= WELL_SEEN and not sighting.is_ground
+
+    def overdue(self, state: SceneState, stamp: int, lifetime: int) -> list[int]:
+        """Return the planes that the filter should give up.
+
+        Those unseen for longer than ``lifetime`` [ns], but for walls that were well seen: these
+        may come back into view, and are given up where there are too many.
+        """
+        unseen = {id: self.unseen_for(id, stamp) for id in state.planes}
+        lasting = {id for id in unseen if self.is_lasting(id)}
+        late = [id for id, time in unseen.items() if time > lifetime and id not in lasting]
+        away = sorted((id for id in lasting if unseen[id] > lifetime), key=unseen.get)
+        return late + away[max(MOST_HELD - len(unseen) + len(away) + len(late), 0):]
+
+    def wait(self, time: int):
+        """Let no plane age for a time [ns] in which nothing new came into view."""
+        self._waited += time
+
+    def unseen_for(self, id: int, stamp: int) -> int:
+        """Return for how long a plane was out of view [ns], rests left out."""
+        return stamp - self._waited - self._seen[id]
+
+    def adopt(self, id: int, stamp: int):
+        """Begin the history of a plane that another filter hands over."""
+        self._sightings[id] = Sighting(stamp, stamp)
+        self._left.pop(id, None)
+        self._seen[id] = stamp - self._waited
+
+    def accept(self, state: SceneState, handovers: Sequence[PlaneHandover]):
+        """Take planes over that have come to rest."""
+        for handover in handovers:
+            if handover.to_label != Label.STATIONARY or handover.id in state.planes:
+                continue
+            anchor = state.current.t.copy()
+            scale = 1 + handover.plane @ anchor
+            J = np.eye(3) / scale - np.outer(handover.plane, anchor) / scale**2
+            state.add_plane(handover.id, AnchoredPlane(handover.plane / scale, anchor),
+                            J @ handover.covariance[:3, :3] @ J.T)
+            self.adopt(handover.id, handover.stamp)
+
+    def release(self, state: SceneState, extraction: Extraction) -> list[PlaneHandover]:
+        """Give planes away that the extraction now sees moving."""
+        leaving = []
+        for plane in extraction.planes:
+            if plane.label == Label.MOVING and plane.id in state.planes:
+                leaving.append(self.handover(state, plane.id, extraction.stamp))
+                state.remove_plane(plane.id)
+                self.remove(plane.id)
+        return leaving
+
+    def join(self, state: SceneState, extraction: Extraction, known: set[int], trusted: set[int],
+             baseline: float, shown: Pose) -> list[int]:
+        """Return the planes to update, after putting new and lost ones into the state afresh.
+
+        A plane comes in with next to no prior; its correspondences then determine it, together
+        with everything they are correlated with.
+
+        Parameters
+        ----------
+        known, trusted : sets of int
+            Planes seen that are where they were predicted, and those that may be used.
+        baseline, shown : float, Pose
+            Length [map unit] of the pair's way, and the pose at its end.
+        """
+        ids = []
+        for plane in extraction.planes:
+            if plane.id not in trusted:
+                continue
+            if plane.id not in known:
+                if plane.id in state.planes:
+                    state.remove_plane(plane.id)
+                world = shown.R @ plane.plane / baseline
+                state.add_plane(plane.id, AnchoredPlane(world, shown.t.copy()),
+                                np.eye(3) * (3 * np.linalg.norm(world)) ** 2)
+            ids.append(plane.id)
+        return ids
+
+    def scale(self, factor: float):
+        """Multiply all lengths by a factor."""
+        self._sightings = {
+            id: replace(s, outline=None if s.outline is None else s.outline * factor)
+            for id, s in self._sightings.items()}
+        D = np.array([1.0, 1.0, 1.0, factor])
+        self._left = {id: replace(plane, depth=plane.depth * factor,
+                                  covariance=D[:, None] * plane.covariance * D,
+                                  outline=plane.outline * factor)
+                      for id, plane in self._left.items()}
+
+    def observe(self, state: SceneState, extraction: Extraction, ids: list[int]):
+        """Note which planes of ``ids`` a key frame shows, and where."""
+        seen = {plane.id: plane for plane in extraction.planes if plane.id in ids}
+        self._sightings = {id: replace(s, n_macroblocks=0) for id, s in self._sightings.items()
+                           if id in state.planes or id in self._left}
+        for id, plane in seen.items():
+            old = self._sightings.get(id, Sighting(extraction.stamp, extraction.stamp))
+            self._seen[id] = extraction.stamp - self._waited
+            self._left.pop(id, None)
+            self._sightings[id] = Sighting(
+                old.first_stamp, extraction.stamp, old.n_observations + 1, plane.n_macroblocks,
+                _outline(state, id, old.outline, extraction), plane.is_ground)
+
+    def planes(self, state: SceneState) -> tuple[MapPlane, ...]:
+        """Return all planes in {W}: those that the filter holds, then those that it gave up."""
+        held = self._map_planes(state)
+        return (*(held[id] for id in sorted(held)), *self._left.values())
+
+    def _map_planes(self, state: SceneState) -> dict[int, MapPlane]:
+        """Write the planes that the filter holds down in {W}, by their ids."""
+        _, planes, anchors = state.arrays
+        normals, depths, covariances = compiled.planes_in_world(
+            planes, anchors, state.error.P, state.error.lasting, state.gauge.place,
+            state.gauge.covariance)
+        return {id: self._map_plane(id, normals[k], float(depths[k]), covariances[k])
+                for k, id in enumerate(state.planes)}
+
+    def _map_plane(self, id: int, normal: np.ndarray, depth: float, covariance: np.ndarray):
+        """Return the record of a plane in {W}."""
+        sighting = self._sightings[id]
+        outline = np.zeros((0, 3)) if sighting.outline is None else sighting.outline
+        return MapPlane(id, normal, depth, covariance, outline, sighting.first_stamp,
+                        sighting.last_stamp, sighting.n_observations, sighting.n_macroblocks,
+                        sighting.is_ground)
+
+    def handover(self, state: SceneState, id: int, stamp: int) -> PlaneHandover:
+        """Write a plane down for the obstacle tracker; it starts at rest."""
+        anchored = state.planes[id]
+        scale = 1 - anchored.plane @ anchored.anchor
+        plane = anchored.plane / scale
+        J = np.eye(3) / scale + np.outer(anchored.plane, anchored.anchor) / scale**2
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = J @ scene_gauge.covariance(state, id) @ J.T
+        covariance[3:, 3:] = scene_gauge.covariance(state, 'velocity') + np.eye(3)
+        return PlaneHandover(stamp, id, Label.MOVING, plane, np.zeros(3), covariance)
+
+
+def _outline(state: SceneState, id: int, old: np.ndarray | None, extraction: Extraction):
+    """Return the convex hull (M, 3) in {W} of a plane's macroblocks and an older outline."""
+    anchored, pose = state.planes[id], state.current
+    return compiled.plane_outline(
+        extraction.x_cur, extraction.plane_id, id, extraction.K,
+        np.concatenate([pose.R.ravel(), pose.t]), np.array([anchored.plane, anchored.anchor]),
+        np.zeros((0, 3)) if old is None else old, FARTHEST)

@@ -1,0 +1,139 @@
+"""Baselines that depths tell: how their scale passes from pair to pair.
+
+A pair's depths are those of its motion as the extraction found it. Where the parallax is 3 px, a
+turn of a tenth of a degree makes all of them a quarter larger or smaller. The baseline is
+therefore compared with the depths as the filter's own motion of the pair makes them, and what
+the pairs before say of the baseline tells of the turn, too.
+"""
+
+from dataclasses import dataclass
+
+from mv_slapse.config import SceneSettings
+from mv_slapse.filters import ekf
+from mv_slapse.geometry import rotation, two_view
+from mv_slapse.kernels.binding import compiled
+from mv_slapse.records import CameraMotion, Extraction
+from mv_slapse.scene.gating import RATIO_GATE
+from mv_slapse.scene.observations import Kind, Observation
+from mv_slapse.scene.state import (
+    log_baseline,
+    relative_motion,
+    relative_motion_jacobian,
+    SceneState,
+)
+import numpy as np
+
+# Of the log of a baseline: beyond, it may as well be none at all. Guessed after a rest it is
+# unsure by 1 (scene.REST_SIGMA): the pairs after it keep to that guess, or each would guess anew.
+VAGUE = 1.2
+MAX_SPREAD = 0.2  # a depth's error, as a share of it, beyond which it does not count
+
+
+@dataclass(frozen=True)
+class Depths:
+    """The depths of a pair as a whole, and how they would change with its motion.
+
+    Attributes
+    ----------
+    R, t : (3, 3), (3,) arrays
+        R_cur_from_prev, t_cur_from_prev of the extraction, |t| = 1.
+    slope : (6,) array
+        Derivative of the mean log of their inverse by (w, t), R -> exp(w) R.
+    variance : float
+        Of that mean by the covariance of the motion.
+    """
+
+    R: np.ndarray
+    t: np.ndarray
+    slope: np.ndarray
+    variance: float
+
+    def change(self, state: SceneState) -> tuple[float, np.ndarray]:
+        """Return the mean log of inverse depth at a state's motion over here; derivative (n,)."""
+        R, t = relative_motion(state)
+        length = max(float(np.linalg.norm(t)), 1e-9)
+        by_motion = self.slope.copy()
+        by_motion[3:] = (by_motion[3:] - t * (t @ by_motion[3:]) / length**2) / length
+        value = self.slope @ np.r_[rotation.log(R @ self.R.T), t / length - self.t]
+        by_previous, by_current = relative_motion_jacobian(state)
+        H = np.zeros(state.size)
+        H[state.at('previous')], H[state.at('current')] = (by_motion @ by_previous,
+                                                           by_motion @ by_current)
+        return float(value), H
+
+
+def depths_of(pair: two_view.Pair, motion: CameraMotion, settings: SceneSettings) -> Depths:
+    """Return what the stationary blocks of a pair (N,) tell, none more than its relief lets it."""
+    R, t = motion.R_cur_from_prev, motion.t_cur_from_prev
+    slope = compiled.depth_slope(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, R, t,
+                                 MAX_SPREAD, settings.relief)
+    slope[3:] -= t * (t @ slope[3:])
+    return Depths(R, t, slope, float(slope @ motion.covariance @ slope) * settings.dependence)
+
+
+def told(state: SceneState, extraction: Extraction, depths: Depths,
+         settings: SceneSettings) -> list[Observation]:
+    """Move the scale of the depths by a pair's ratio; return what it tells of the baseline.
+
+    Nothing where the ratio contradicts the prediction: vectors that are wrong in bulk agree in
+    depths.
+    """
+    sampling = extraction.baseline_ratio_sigma * np.sqrt(settings.depth_dependence)
+    sigma, log = float(np.hypot(sampling, settings.ratio_drift)), extraction.baseline_ratio
+    if not holds(state, log, float(np.sqrt(sigma**2 + settings.ratio_sigma**2
+                                           + depths.variance))):
+        return []
+    move(state, log, sigma)
+    return [observed(depths, settings.ratio_sigma)]
+
+
+def holds(state: SceneState, log_ratio: float, sigma: float) -> bool:
+    """Tell whether a ratio to the baseline before agrees with the predicted length.
+
+    Parameters
+    ----------
+    state : SceneState
+        Predicted; its ``depth_scale`` is that of the pair before.
+    log_ratio, sigma : float
+        Logarithm of the ratio and its standard deviation; an infinite one is no ratio.
+    """
+    value, H = log_baseline(state)
+    H[state.at('depth_scale')] = -1
+    variance = H @ state.error.total @ H + sigma**2
+    return bool((value - state.depth_scale - log_ratio)**2 < RATIO_GATE * variance < np.inf)
+
+
+def observed(depths: Depths, sigma: float) -> Observation:
+    """Observe the log of the baseline, by the scale of the depths.
+
+    The depths of the pair before have a common error, which a ratio holds with the opposite sign
+    of the next: such errors must not add up. So the scale of the depths is a state, moved by
+    the ratio (see move), and the baseline equals it but for the pair's own common error, ``sigma``
+    as a share.
+    """
+    return Observation(Kind.DEPTH_RATIO, sigma,
+                       depths=np.concatenate([depths.R.ravel(), depths.t, depths.slope]))
+
+
+def begin(state: SceneState, depths: Depths, sigma: float) -> bool:
+    """Set the scale of the depths to the baseline, which they amount to but for sigma.
+
+    Returns whether the baseline is known well enough for its logarithm to be linear.
+    """
+    value, H = log_baseline(state)
+    change, by_state = depths.change(state)
+    state.depth_scale = value - change
+    at = state.at('depth_scale')
+    if H @ state.P @ H > VAGUE**2:
+        state.error.P[at], state.error.P[:, at], state.error.lasting[at] = 0, 0, 0
+        return False
+    ekf.predict_rows(state.error, np.array([at.start]), (H - by_state)[None],
+                     np.eye(1) * sigma**2)
+    return True
+
+
+def move(state: SceneState, log_ratio: float, sigma: float):
+    """Move the scale of the depths by log(|t| now / |t| of the pair before), see planes.scale."""
+    at = state.at('depth_scale')
+    state.depth_scale += log_ratio
+    state.error.P[at, at] += sigma**2

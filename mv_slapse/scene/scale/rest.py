@@ -1,0 +1,54 @@
+"""What stands in for a length where a camera has been at rest, or the ground is not seen yet."""
+
+from mv_slapse.geometry import epipolar
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.records import Extraction, Label
+from mv_slapse.scene import gating as scene_gate
+from mv_slapse.scene.state import plane_in_camera, SceneState
+import numpy as np
+
+LOW = 0.07  # tangent of the angle below the horizon: the ground within 14 camera heights
+SUPPOSED_SIGMA = 0.2  # of the log of a baseline so supposed: 4 to 12 % was met, and 50 % once
+ROAD = 1.5  # camera heights to either side, which a road is wide
+
+
+def first_baseline(state: SceneState, extraction: Extraction, camera_height: float) -> float:
+    """Return the first baseline after a rest [map unit], 0 where nothing tells it.
+
+    A plane seen again tells it, the ground first: its depth in the map over that in baselines;
+    or the camera's height above the ground does, 0 where that is not known.
+    """
+    again = [plane for plane in extraction.planes
+             if plane.id in state.planes and plane.label == Label.STATIONARY]
+    again.sort(key=lambda plane: not plane.is_ground)
+    if again:
+        seen = np.linalg.norm(plane_in_camera(state, again[0].id))
+        return float(np.linalg.norm(again[0].plane) / seen)
+    ground = scene_gate.ground_plane(extraction)
+    return 0.0 if ground is None else float(camera_height * np.linalg.norm(ground))
+
+
+def supposed_baseline(extraction: Extraction, camera_height: float) -> float:
+    """Return the first baseline [m] where no ground is seen yet, 0 where nothing tells it.
+
+    As if most of what lies low ahead of a level camera were ground.
+    """
+    rays, before = (to_rays(extraction.K, x.astype(float))
+                    for x in (extraction.x_cur, extraction.x_prev))
+    motion, focal = extraction.motion, np.diag(extraction.K)[:2]
+    rho, _ = epipolar.inverse_depth(rays, before, focal, motion.R_cur_from_prev,
+                                    motion.t_cur_from_prev)
+    across, down = np.abs(rays[:, 0]), rays[:, 1]
+    road = (down > LOW) & (across < ROAD * down) & (rho > 0)
+    road &= extraction.label == Label.STATIONARY
+    return camera_height * float(np.median(rho[road] / down[road])) if road.any() else 0.0
+
+
+def reach(state: SceneState) -> float:
+    """Return the distance of the nearest plane: there a way of it / focal makes one pixel.
+
+    Where no plane is known, that of a baseline seen under an angle of 3 degrees.
+    """
+    planes = [plane_in_camera(state, id) for id in state.planes]
+    nearest = max((np.linalg.norm(plane) for plane in planes), default=0.0)
+    return float(1 / nearest) if nearest else 20 * float(np.exp(state.depth_scale))

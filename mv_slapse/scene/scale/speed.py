@@ -1,0 +1,62 @@
+"""What a given speed tells the scene filter: how far the camera went between two key frames."""
+
+from typing import NamedTuple
+
+from mv_slapse.config import SceneSettings
+from mv_slapse.scene import gating as scene_gate
+from mv_slapse.scene import observations as scene_observations
+from mv_slapse.scene.observations import Observation
+from mv_slapse.scene.progress import Progress
+from mv_slapse.scene.scale.speed_log import SpeedLog
+from mv_slapse.scene.state import SceneState
+import numpy as np
+
+SOURCE = 'speed'  # as a source of the scale
+FAINT = 0.5  # sigma of a way as a share: beyond, it may as well be none at all
+SLOWEST = 0.05  # m/s, below which wheels turn too little to tell a speed
+
+
+class Way(NamedTuple):
+    """Distance [m] between two poses of the camera, and its standard deviation as a share."""
+
+    length: float
+    sigma: float
+
+
+def way(log: SpeedLog, state: SceneState, progress: Progress, start: int, turn: float,
+        settings: SceneSettings) -> Way | None:
+    """Return how far the camera went from a stamp [ns] to the key frame.
+
+    None where no speed tells it, or one that cannot be: of wheels that slip or stand, by the way
+    predicted. From rest no way is predicted, nor is one of unknown unit to be compared with.
+    """
+    told = distance(log, start, progress.stamp, turn, settings)
+    if told is None or progress.rested:
+        return told if progress.metric else None
+    foreseen = progress.started and progress.metric and not progress.anew
+    sigma = float(np.hypot(told.sigma, settings.speed_bias))
+    if foreseen and not scene_gate.holds_length(state, told.length, sigma):
+        return None
+    return told
+
+
+def distance(log: SpeedLog, start: int, end: int, turn: float,
+             settings: SceneSettings) -> Way | None:
+    """Return the distance of the camera's places at two stamps [ns], None where none is told.
+
+    A camera beside the place whose speed is told goes farther, or less far, in a ``turn`` [rad],
+    and round a bend the distance is shorter than the way.
+    """
+    told = log.travelled(start, end)
+    if told is None or abs(told.way) < SLOWEST * (end - start) * 1e-9:
+        return None
+    length = abs(told.way)
+    unseen = settings.acceleration * np.sqrt(told.held**3 / 3)
+    sigma = np.linalg.norm([settings.speed_sigma, settings.speed_arm * turn / length,
+                            turn**2 / 24, unseen / length])
+    return Way(length, float(sigma)) if sigma < FAINT else None
+
+
+def observed(way: Way, settings: SceneSettings) -> Observation:
+    """Return the observation of a way."""
+    return scene_observations.baseline(way.length, way.sigma, settings.speed_bias)

@@ -1,0 +1,368 @@
+"""State (13) of the scene filter: two camera poses, velocities and stationary planes.
+
+Departures from [MVO]: rotations err on SO(3), R_world_from_cam = R exp(theta) with theta in the
+camera; the previous key frame's pose stays in the state (a stochastic clone), since a
+correspondence relates two poses; a plane is n / d about an anchor, the camera centre at its
+birth, with axes of {W}, so that it is never singular.
+"""
+
+from dataclasses import dataclass, field
+
+from mv_slapse.filters import ekf
+from mv_slapse.geometry import rotation
+import numpy as np
+
+# Errors that are not estimated: turn by which all vectors err, place in their blocks that they
+# tell of, camera height, speed that is given, focal length.
+TURN, PLACE, HEIGHT, SPEED, FOCAL = slice(0, 3), slice(3, 5), slice(5, 6), slice(6, 7), 7
+N_LASTING = FOCAL + 1
+# Where the blocks of the camera begin in the error state; they are the first and stay.
+CUR, VEL, OM, CAMERA = 6, 12, 15, 18
+THETA, PLACE_NOW = slice(CUR, CUR + 3), slice(CUR + 3, VEL)
+
+
+@dataclass
+class Pose:
+    """R_world_from_cam (3, 3) and t_world_from_cam (3,)."""
+
+    R: np.ndarray
+    t: np.ndarray
+
+    def copy(self) -> 'Pose':
+        """Return an independent copy."""
+        return Pose(self.R.copy(), self.t.copy())
+
+
+@dataclass
+class AnchoredPlane:
+    """A plane n / d in a frame with axes of {W} and its origin at ``anchor`` (3,) in {W}."""
+
+    plane: np.ndarray
+    anchor: np.ndarray
+
+
+@dataclass
+class Gauge:
+    """How the whole scene lies in {W}, where it has begun anew at a ``place`` (3,).
+
+    ``covariance`` (7, 7) of a turn about that place, axes of {W} [rad], of a shift, and of the log
+    of all lengths.
+    """
+
+    place: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((7, 7)))
+
+
+@dataclass
+class SceneState:
+    """Nominal values and the covariance of their errors.
+
+    Errors: of a pose (theta [rad] in the camera, position in {W}); of velocity and planes
+    additive; of ``mount``, the ground normal as the camera is mounted, and of ``depth_scale``, the
+    log of the baseline that the depths of the last pair amount to, additive; of ``heave``, the
+    camera's height above the road that is seen over what it is in the mean, as a share, additive.
+    """
+
+    previous: Pose
+    current: Pose
+    velocity: np.ndarray
+    omega: np.ndarray
+    mount: np.ndarray
+    depth_scale: float = 0.0
+    heave: float = 0.0
+    planes: dict[int, AnchoredPlane] = field(default_factory=dict)
+    error: ekf.State = field(default_factory=lambda: ekf.State(N_LASTING))
+    gauge: Gauge = field(default_factory=Gauge)
+
+    @property
+    def size(self) -> int:
+        """Return the length of the error state."""
+        return len(self.error.mu)
+
+    @property
+    def P(self) -> np.ndarray:
+        """Return the covariance of the error state."""
+        return self.error.P
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the values as the kernels take them: camera (29,), planes, anchors (P, 3).
+
+        The camera's: R and t of the previous and of the current pose, mount, depth_scale, heave.
+        """
+        camera = np.concatenate([
+            self.previous.R.ravel(), self.previous.t, self.current.R.ravel(), self.current.t,
+            self.mount, (self.depth_scale, self.heave)])
+        values = np.array([(p.plane, p.anchor) for p in self.planes.values()]).reshape(-1, 2, 3)
+        return camera, values[:, 0].copy(), values[:, 1].copy()
+
+    def positions(self, ids) -> np.ndarray:
+        """Return where planes stand in ``arrays``, (len(ids),) int64."""
+        place = {id: k for k, id in enumerate(self.planes)}
+        return np.array([place[id] for id in ids], np.int64)
+
+    def at(self, name) -> slice:
+        """Return where a block lies in the error state."""
+        return self.error.index(name)
+
+    def add_plane(self, id: int, plane: AnchoredPlane, covariance: np.ndarray):
+        """Add a plane that is independent of the rest."""
+        self.planes[id] = plane
+        self.error.add(id, np.zeros(3), covariance)
+
+    def remove_plane(self, id: int):
+        """Marginalise a plane out."""
+        del self.planes[id]
+        self.error.remove(id)
+
+    def moved(self, e: np.ndarray) -> 'SceneState':
+        """Return the nominal values moved by an error (n,); the covariance is shared."""
+        pose = {name: self._moved_pose(name, e[self.at(name)]) for name in ('previous', 'current')}
+        planes = {id: AnchoredPlane(p.plane + e[self.at(id)], p.anchor)
+                  for id, p in self.planes.items()}
+        mount = self.mount + e[self.at('mount')]
+        return SceneState(
+            pose['previous'], pose['current'], self.velocity + e[self.at('velocity')],
+            self.omega + e[self.at('omega')], mount / np.linalg.norm(mount),
+            self.depth_scale + float(e[self.at('depth_scale')][0]),
+            self.heave + float(e[self.at('heave')][0]), planes, self.error, self.gauge)
+
+    def _moved_pose(self, name: str, e: np.ndarray) -> Pose:
+        """Return a pose moved by its error (6,)."""
+        pose = getattr(self, name)
+        return Pose(pose.R @ rotation.exp(e[:3]), pose.t + e[3:])
+
+    def error_to(self, other: 'SceneState') -> np.ndarray:
+        """Return the error (n,) that moves the camera's poses to another state's."""
+        e = np.zeros(self.size)
+        for name in ('previous', 'current'):
+            mine, theirs = getattr(self, name), getattr(other, name)
+            e[self.at(name)] = np.r_[rotation.log(mine.R.T @ theirs.R), theirs.t - mine.t]
+        return e
+
+
+def start(mount: np.ndarray, velocity_sigma: float, omega_sigma: float,
+          mount_sigma: float) -> SceneState:
+    """Return the state at the first key frame, which is {W}; its pose is known exactly."""
+    state = SceneState(Pose(np.eye(3), np.zeros(3)), Pose(np.eye(3), np.zeros(3)), np.zeros(3),
+                       np.zeros(3), mount)
+    state.error.add('previous', np.zeros(6), np.zeros((6, 6)))
+    state.error.add('current', np.zeros(6), np.zeros((6, 6)))
+    state.error.add('velocity', np.zeros(3), np.eye(3) * velocity_sigma**2)
+    state.error.add('omega', np.zeros(3), np.eye(3) * omega_sigma**2)
+    state.error.add('mount', np.zeros(3), np.eye(3) * mount_sigma**2)
+    state.error.add('depth_scale', np.zeros(1), np.zeros((1, 1)))
+    state.error.add('heave', np.zeros(1), np.zeros((1, 1)))
+    return state
+
+
+def propagate(state: SceneState, dt: float, acceleration: float, angular_acceleration: float,
+              turn_rate: float):
+    """Clone the current pose and move the camera by dt [s] at constant velocity.
+
+    White noise of acceleration [unit/s^1.5] and angular acceleration [rad/s^1.5] densities
+    enters the velocities and, integrated, the pose. The angular velocity is forgotten at the rate
+    at which its standard deviation never exceeds ``turn_rate`` [rad/s] (Ornstein-Uhlenbeck).
+    """
+    rate = 0.5 * (angular_acceleration / turn_rate)**2
+    left, reach = np.exp(-rate * dt), -np.expm1(-rate * dt) / rate if rate else dt
+    turn = rotation.exp(state.omega * reach)
+    F = np.zeros((CAMERA, state.size))
+    F[:CUR, CUR:VEL] = np.eye(6)
+    F[THETA, THETA], F[PLACE_NOW, PLACE_NOW], F[VEL:OM, VEL:OM] = turn.T, np.eye(3), np.eye(3)
+    F[THETA, OM:CAMERA], F[OM:, OM:CAMERA] = reach * np.eye(3), left * np.eye(3)
+    F[PLACE_NOW, VEL:OM] = dt * np.eye(3)
+    Q = np.zeros((CAMERA, CAMERA))
+    _integrated_noise(Q, PLACE_NOW, slice(VEL, OM), acceleration, (dt**3 / 3, dt**2 / 2, dt))
+    _integrated_noise(Q, THETA, slice(OM, CAMERA), angular_acceleration, _forgetful(dt, rate))
+    state.previous = state.current.copy()
+    state.current = Pose(state.current.R @ turn, state.current.t + state.velocity * dt)
+    state.omega = left * state.omega
+    ekf.predict_rows(state.error, np.arange(CAMERA), F, Q)
+
+
+def _integrated_noise(Q, value: slice, rate: slice, density: float, moments):
+    """Add the covariance of a rate driven by white noise, and of its integral.
+
+    ``moments``: of unit noise, the variance of the integral, the covariance, the rate's variance.
+    """
+    for row, column, moment in ((value, value, moments[0]), (value, rate, moments[1]),
+                                (rate, value, moments[1]), (rate, rate, moments[2])):
+        Q[row, column] += np.eye(3) * density**2 * moment
+
+
+def _forgetful(dt: float, rate: float) -> tuple[float, float, float]:
+    """Return the moments of an Ornstein-Uhlenbeck process of a rate [1/s] after dt [s]."""
+    if not rate:
+        return dt**3 / 3, dt**2 / 2, dt
+    reach, variance = -np.expm1(-rate * dt) / rate, -np.expm1(-2 * rate * dt) / (2 * rate)
+    return (dt - 2 * reach + variance) / rate**2, reach**2 / 2, variance
+
+
+def doubt_speed(state: SceneState):
+    """Let the velocity be unsure by all of itself: of a pair in which the camera started.
+
+    Its mean over the pair is seen; at the end of it the camera may be twice as fast.
+    """
+    at = state.at('velocity')
+    state.error.P[at, at] += np.outer(state.velocity, state.velocity)
+
+
+def halt(state: SceneState, omega: np.ndarray, covariance: np.ndarray):
+    """Set the velocity to zero and the angular velocity (3,) [rad/s] with its covariance (3, 3).
+
+    Both are seen, whatever was predicted: a stop may be too sudden for a random walk.
+    """
+    for name in ('velocity', 'omega'):
+        at = state.at(name)
+        state.error.P[at], state.error.P[:, at], state.error.lasting[at] = 0, 0, 0
+    vel, om = state.at('velocity'), state.at('omega')
+    state.error.P[vel, vel], state.error.P[om, om] = np.eye(3) * 1e-4, covariance
+    state.velocity, state.omega = np.zeros(3), omega
+
+
+def stretched(vectors: np.ndarray) -> np.ndarray:
+    """Return the growth of vectors (..., 3) of a camera with a focal length that is too short.
+
+    For each share by which it is: what lies across the view seems so much farther across, and
+    turns seem larger, but for what the size of the picture makes of second order.
+    """
+    return vectors * np.array([1.0, 1.0, 0.0])
+
+
+def turn_on_the_spot(state: SceneState, R_cur_from_prev: np.ndarray, covariance: np.ndarray,
+                     sigma: float, focal_sigma: float = 0.0):
+    """Clone the pose and turn it; covariance (3, 3) of the turn, sigma [unit] of the place.
+
+    ``focal_sigma`` is the standard deviation of the focal length, as a share.
+    """
+    F, Q = np.zeros((VEL, state.size)), np.zeros((VEL, VEL))
+    F[:CUR, CUR:VEL] = F[CUR:, CUR:VEL] = np.eye(6)
+    F[THETA, THETA], Q[THETA, THETA] = R_cur_from_prev, covariance
+    Q[PLACE_NOW, PLACE_NOW] = np.eye(3) * sigma**2
+    state.previous = state.current.copy()
+    state.current = Pose(state.current.R @ R_cur_from_prev.T, state.current.t.copy())
+    ekf.predict_rows(state.error, np.arange(VEL), F, Q)
+    state.error.lasting[THETA, FOCAL] -= focal_sigma * stretched(
+        rotation.log(R_cur_from_prev))
+
+
+def plane_in_camera(state: SceneState, id: int) -> np.ndarray:
+    """Return a plane n / d in the current camera, (16) of [MVO]."""
+    plane, pose = state.planes[id], state.current
+    return pose.R.T @ plane.plane / (1 + plane.plane @ (pose.t - plane.anchor))
+
+
+def plane_in_camera_jacobian(state: SceneState, id: int):
+    """Return the derivatives of plane_in_camera by pose error (3, 6) and plane (3, 3)."""
+    plane, pose = state.planes[id], state.current
+    offset = pose.t - plane.anchor
+    scale = 1 + plane.plane @ offset
+    turned = pose.R.T @ plane.plane
+    by_pose = np.c_[rotation.skew(turned / scale), -np.outer(turned, plane.plane) / scale**2]
+    return by_pose, pose.R.T / scale - np.outer(turned, offset) / scale**2
+
+
+def sway(state: SceneState, dt: float, sigma: float, time: float):
+    """Let the heave settle for dt [s]: a share sigma of the height that lasts for ``time`` [s]."""
+    at = state.at('heave').start
+    left = np.exp(-dt / time) if time else 0.0
+    F = np.zeros((1, state.size))
+    F[0, at] = left
+    state.heave *= left
+    ekf.predict_rows(state.error, np.array([at]), F, np.eye(1) * sigma**2 * (1 - left**2))
+
+
+def relative_motion(state: SceneState):
+    """Return R_cur_from_prev, t_cur_from_prev of the two poses of the state."""
+    R_cam_from_world = state.current.R.T
+    return (R_cam_from_world @ state.previous.R,
+            R_cam_from_world @ (state.previous.t - state.current.t))
+
+
+def relative_motion_jacobian(state: SceneState):
+    """Return the derivatives (6, 6) of (w, t) by the errors of the previous and current pose.
+
+    R_cur_from_prev -> exp(w) R_cur_from_prev as in geometry.two_view.
+    """
+    R_cp, t_cp = relative_motion(state)
+    by_previous, by_current = np.zeros((6, 6)), np.zeros((6, 6))
+    by_previous[:3, :3], by_previous[3:, 3:] = R_cp, state.current.R.T
+    by_current[:3, :3], by_current[3:, 3:] = -np.eye(3), -state.current.R.T
+    by_current[3:, :3] = rotation.skew(t_cp)
+    return by_previous, by_current
+
+
+def scale_lengths(state: SceneState, factor: float):
+    """Multiply every length of the state by a factor: the unit of length has become known."""
+    D = np.ones(state.size)
+    for name in ('previous', 'current'):
+        D[state.at(name).start + 3:state.at(name).stop] = factor
+        getattr(state, name).t *= factor
+    D[state.at('velocity')] = factor
+    state.velocity = state.velocity * factor
+    state.depth_scale += np.log(factor)
+    for id, plane in state.planes.items():
+        D[state.at(id)] = 1 / factor
+        plane.plane, plane.anchor = plane.plane / factor, plane.anchor * factor
+    unit = np.r_[1, 1, 1, factor, factor, factor, 1]
+    state.gauge = Gauge(factor * state.gauge.place, unit[:, None] * state.gauge.covariance * unit)
+    state.error.P = D[:, None] * state.error.P * D
+    state.error.lasting = D[:, None] * state.error.lasting
+
+
+def widen_scale(state: SceneState, sigma: float):
+    """Add a common error of all lengths, as a share of them, to the covariance."""
+    e = np.zeros(state.size)
+    for name in ('previous', 'current'):
+        e[state.at(name).start + 3:state.at(name).stop] = getattr(state, name).t
+    e[state.at('velocity')] = state.velocity
+    e[state.at('depth_scale')] = 1
+    for id, known in state.planes.items():
+        # The anchor stays where it is, and the plane moves against it.
+        e[state.at(id)] = -known.plane * (1 - known.plane @ known.anchor)
+    state.error.P += sigma**2 * np.outer(e, e)
+
+
+def log_baseline(state: SceneState) -> tuple[float, np.ndarray]:
+    """Return the log of the distance between the two poses and its derivative (n,)."""
+    prev, cur = state.at('previous'), state.at('current')
+    offset = state.current.t - state.previous.t
+    square = max(float(offset @ offset), 1e-18)
+    H = np.zeros(state.size)
+    H[cur.start + 3:cur.stop] = offset / square
+    H[prev.start + 3:prev.stop] = -offset / square
+    return 0.5 * np.log(square), H
+
+
+def move_anchor(state: SceneState, id: int, anchor: np.ndarray):
+    """Express a plane about another anchor (3,) in {W}; what is known of it stays the same."""
+    old = state.planes[id]
+    offset = anchor - old.anchor
+    scale = 1 + old.plane @ offset
+    at, F = state.at(id), np.zeros((3, state.size))
+    F[:, at] = np.eye(3) / scale - np.outer(old.plane, offset) / scale**2
+    state.planes[id] = AnchoredPlane(old.plane / scale, anchor.copy())
+    ekf.predict_rows(state.error, np.arange(at.start, at.stop), F, np.zeros((3, 3)))
+
+
+def renew(state: SceneState, relief: float):
+    """Let all planes change as the camera moves on and sees other parts of the surfaces.
+
+    Their depths walk by ``relief``, a share of them, while the camera moves by its distance from
+    the plane: a surface is no plane, and each part of it departs by so much.
+    """
+    _, plane, anchor = state.arrays
+    above = 1 + np.sum(plane * (state.current.t - anchor), axis=1)
+    distance = np.abs(above) / np.sqrt(np.sum(plane * plane, axis=1))
+    way = np.linalg.norm(state.current.t - state.previous.t)
+    share = way / np.maximum(way, distance)
+    at = state.size - plane.size + np.arange(plane.size).reshape(-1, 3)
+    state.error.P[at[:, :, None], at[:, None]] += (
+        relief**2 * share[:, None, None] * plane[:, :, None] * plane[:, None])
+
+
+def bend(state: SceneState, id: int, sigma: float):
+    """Let a plane's normal walk by ``sigma`` [rad] about its anchor, where its depth stays."""
+    at, plane = state.at(id), state.planes[id].plane
+    state.error.P[at, at] += sigma**2 * (plane @ plane * np.eye(3) - np.outer(plane, plane))

@@ -1,0 +1,353 @@
+"""The ground plane: below the camera, nearly level, and hard to see.
+
+Road texture is weak and moves fast, so most of its vectors may be wrong and the largest consensus
+in the lower picture may be a wrong one. What is known helps: its normal hardly changes from one
+key frame to the next, and next to nothing lies below it.
+"""
+
+from dataclasses import dataclass, replace
+
+from mv_slapse.geometry import lattice
+from mv_slapse.geometry import plane as plane_geometry
+from mv_slapse.surfaces import consensus, height, upright
+from mv_slapse.surfaces.consensus import Depths
+from mv_slapse.surfaces.height import HeightBelief, RoadBlocks
+from mv_slapse.surfaces.plane_search import gather, PlaneFit, Rules
+import numpy as np
+
+AXIS = np.array([0.0, 0.0, 1.0])
+UP_CAM = (0.0, -1.0, 0.0)  # a level camera: optical axes have y down
+HEIGHT_WOBBLE = 0.02  # change of log(height) between key frames: suspension and slope
+FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for afresh
+GUESSED = 0.5  # the same of a ground that none shows, for movers: it is within a factor of 2.7
+FARTHEST = 2.0  # standard deviations by which that ground may lie farther, or nearer
+DEPENDENCE = 10.0  # blocks of road that tell as much as one: what stands on it errs one way
+MAX_BLUR = 0.07  # standard deviation of a block's depth, as a share of it
+CORRIDOR = 2.5  # camera heights to either side: beyond, kerbs, lawns and drives lie higher
+IN_VIEW = 0.9  # cosine of the course to the axis, 26 degrees; beyond, few cameras see it
+AROUND = 1.0  # rad: what lies farther off than the camera will have turned by then is on no way
+MIN_DROP = 0.03  # rad below the horizon: nearer to it a block tells nothing of the height
+ALIKE = 0.2  # share of depth by which blocks of one surface below the ground may differ
+LEARNING = 0.1  # share that one key frame has in the learned mounting
+SLOW_LEARNING = 0.01  # the same in what kind of robot it is, which does not change
+
+
+@dataclass(frozen=True)
+class Mount:
+    """How the camera sits above the ground: mean of its normal in the camera, and spread [rad].
+
+    The spread is learned: small for a camera bolted to a car, large for one carried by hand, and
+    never above ``widest``. ``courses`` have been learned from; the first ones count most.
+    ``climb`` is how far they led off the ground for as long as can be remembered [rad].
+    """
+
+    direction: tuple[float, float, float] = UP_CAM
+    spread: float = 0.07
+    widest: float = 0.07
+    courses: int = 0
+    climb: float = 0.0
+
+    @property
+    def rides(self) -> bool:
+        """Tell whether the camera keeps to the ground, so that the plane along it is that.
+
+        Of a flight it may be any plane, with things on both sides of it.
+        """
+        return self.climb < self.widest
+
+    @property
+    def normal(self) -> np.ndarray:
+        """Return the mean normal (3,), up."""
+        return np.array(self.direction)
+
+    def holds(self, plane: np.ndarray) -> bool:
+        """Tell whether a plane (3,) lies as the ground may lie under any mounting."""
+        return float(self.normal @ plane) > np.cos(3 * self.widest) * np.linalg.norm(plane)
+
+    def learned(self, course: np.ndarray, least: float) -> 'Mount':
+        """Return the mount after one more course, a unit vector (3,) in the camera.
+
+        A vehicle moves along the ground, so the normal is normal to every course; its pitch is
+        known from there far better than from the ground itself (0.4 deg of scatter against 2 as
+        measured). One that climbs makes the spread grow, and the ground's own tilt counts.
+        """
+        off = float(self.normal @ course)
+        learning = max(LEARNING, 1 / (self.courses + 2))
+        mean = self.normal - learning * off * course
+        mean /= np.linalg.norm(mean)
+        spread = np.sqrt(self.spread**2 + learning * (off**2 - self.spread**2))
+        slow = max(SLOW_LEARNING, 1 / (self.courses + 2))
+        climb = np.sqrt(self.climb**2 + slow * (off**2 - self.climb**2))
+        return Mount(tuple(mean), float(np.clip(spread, least, self.widest)), self.widest,
+                     self.courses + 1, float(climb))
+
+
+@dataclass(frozen=True)
+class GroundPrior:
+    """What is expected of the ground in camera k.
+
+    Attributes
+    ----------
+    normal : (3,) array
+        Unit normal, up.
+    tilt : float
+        Standard deviation of its direction [rad].
+    inverse_depth : float
+        1 / d [1/baseline].
+    spread : float
+        Standard deviation of log(d); infinite: nothing is known.
+    """
+
+    normal: np.ndarray
+    tilt: float
+    inverse_depth: float = 1.0
+    spread: float = np.inf
+
+    def distance(self, planes: np.ndarray) -> np.ndarray:
+        """Squared Mahalanobis distance of planes (N, 3); what faces down is far off."""
+        length = np.linalg.norm(planes, axis=1)
+        angle = np.arccos(np.clip(planes @ self.normal / length, -1, 1))
+        return (np.square(angle / self.tilt)
+                + np.square(np.log(length / self.inverse_depth) / self.spread))
+
+    def information(self, plane: np.ndarray):
+        """Return the prior's mean (3,) and information (3, 3) about a plane (3,)."""
+        length, n = np.linalg.norm(plane), self.normal
+        radial = 0.0 if np.isinf(self.spread) else 1 / (self.inverse_depth * self.spread) ** 2
+        mean = n * (length if np.isinf(self.spread) else self.inverse_depth)
+        tangential = 1 / (length * self.tilt) ** 2
+        return mean, tangential * (np.eye(3) - np.outer(n, n)) + radial * np.outer(n, n)
+
+    def upright(self, plane: np.ndarray):
+        """Return mean (3,) and information (3, 3) of the direction alone of a plane (3,)."""
+        return replace(self, spread=np.inf).information(plane)
+
+    def informed(self, belief: HeightBelief) -> 'GroundPrior':
+        """Return it with the height that many pairs show, where the last ones knew it less.
+
+        One that contradicts them has to outlast them.
+        """
+        spread = float(np.hypot(belief.spread, height.BIAS))
+        if spread > min(self.spread, height.SURE):
+            return self
+        off = belief.log + np.log(self.inverse_depth)
+        if np.isfinite(self.spread) and abs(off) > 3 * np.hypot(self.spread, spread):
+            return self
+        return replace(self, inverse_depth=float(np.exp(-belief.log)), spread=spread)
+
+    def hold(self, depths: Depths, cut: float) -> np.ndarray:
+        """Return which blocks (N,) lie on the ground as far as that is known to."""
+        expected = -depths.rays @ self.normal * self.inverse_depth
+        sigma = np.hypot(depths.sigma, min(self.spread, height.SURE) * expected)
+        return ((np.abs(depths.rho - expected) < cut * sigma)
+                & _sharp(depths, self.normal * self.inverse_depth))
+
+
+@dataclass(frozen=True)
+class GroundTrack:
+    """The ground from key frame to key frame, in the units of the last pair's baseline.
+
+    ``spread`` is the standard deviation of log(depth); infinite before the ground is found.
+    ``tilt`` is that of the normal [rad].
+    """
+
+    mount: Mount
+    id: int = -1
+    plane: np.ndarray | None = None
+    spread: float = np.inf
+    tilt: float = 0.0
+
+    def prior(self, R, t, ratio: float, ratio_sigma: float, wobble: float) -> GroundPrior:
+        """Predict the ground through X_cur = R X_prev + t, |t| = 1 = exp(ratio) old baselines."""
+        if self.plane is None:
+            return GroundPrior(self.mount.normal, self.mount.spread)
+        moved = plane_geometry.transform(self.plane * np.exp(ratio), R, t)
+        inverse_depth = np.linalg.norm(moved)
+        own = np.hypot(wobble, self.tilt)
+        expected = moved / inverse_depth / own**2 + self.mount.normal / self.mount.spread**2
+        tilt = (1 / own**2 + 1 / self.mount.spread**2) ** -0.5
+        # Suspension and slope change the height by a few per cent between key frames.
+        spread = np.sqrt(self.spread**2 + ratio_sigma**2 + HEIGHT_WOBBLE**2)
+        return GroundPrior(expected / np.linalg.norm(expected), tilt, inverse_depth, spread)
+
+    def seen(self, id: int, plane: np.ndarray, covariance: np.ndarray) -> 'GroundTrack':
+        """Return the track after the ground was found, with its covariance (3, 3)."""
+        square = plane @ plane
+        # Of a pair that tells next to nothing rounding leaves a variance below zero.
+        radial = max(plane @ covariance @ plane, 0) / square
+        tilt = np.sqrt(max(np.trace(covariance) - radial, 0) / 2 / square)
+        return GroundTrack(self.mount, id, plane, float(np.sqrt(radial / square)), float(tilt))
+
+    def missed(self, prior: GroundPrior) -> 'GroundTrack':
+        """Return the track after it was not; in the end it is looked for afresh."""
+        if self.plane is None or prior.spread > FORGOTTEN:
+            return GroundTrack(self.mount, self.id)
+        return GroundTrack(self.mount, self.id, prior.normal * prior.inverse_depth,
+                           np.hypot(prior.spread, 2 * HEIGHT_WOBBLE), prior.tilt)
+
+
+def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior: GroundPrior,
+           belief: HeightBelief, cut: float, turn: float, learns: bool, course: np.ndarray = AXIS):
+    """Learn the height from the blocks before the camera, and tell which lone ones are road.
+
+    Parameters
+    ----------
+    depths : Depths
+        Of all blocks, (N,).
+    sigma : (N,) array
+        Standard deviation of a coordinate [px].
+    evidence : BlockObservations
+    lone : (N,) bool array
+        Vectors that no neighbour supports.
+    prior : GroundPrior
+        From the pairs before.
+    belief : HeightBelief
+        From the pairs before, in this baseline.
+    cut : float
+        Largest error of a block on the ground, in standard deviations.
+    turn : float
+        Of the camera during the pair [rad].
+    learns : bool
+        Whether this pair's vectors can be trusted to mean what they say.
+    course : (3,) array
+        Way of the camera in camera k, as of ``course_of``.
+
+    Returns
+    -------
+    belief, prior : HeightBelief, GroundPrior
+        With what this pair shows.
+    road : (N,) bool array
+        Lone blocks on the ground; none where it is not known.
+    """
+    drop, ahead = corridor(depths.rays, prior.normal, course)
+    fits = evidence.epipolar_inlier & (depths.rho > 0)
+    shown = fits & ~lone
+    sharp = shown & (depths.sigma < MAX_BLUR * depths.rho)
+    # What is far below sees nothing as near as what it flies over.
+    ceiling = (np.median(1 / depths.rho[sharp]) if sharp.sum() >= height.MIN_DEPTHS
+               else height.MOST)
+    way = (ahead & (depths.rho > turn / AROUND)
+           & ~upright.on_bodies(depths, drop, fits & (drop > MIN_DROP)))
+    blocks = RoadBlocks(depths[way], drop[way], evidence.epipolar_error[way], sigma[way],
+                        evidence.parallax[way])
+    if learns:
+        belief = belief.seen(blocks, prior.tilt, float(np.median(evidence.parallax[shown])),
+                             ceiling)
+    prior = prior.informed(belief)
+    known = prior.spread < height.SURE
+    road = lone & ahead & fits & ~evidence.at_infinity & known
+    return belief, prior, road & prior.hold(depths, cut)
+
+
+def for_movers(seen: np.ndarray | None, prior: GroundPrior, belief: HeightBelief
+               ) -> tuple[np.ndarray | None, float]:
+    """Return the ground (3,) by which movers are told, and how many times nearer it may be.
+
+    Where none is found the height that many pairs show, if vaguely, tells how far it may lie at
+    most: what looks farther than that moves in any case. None where it may lie anywhere.
+    """
+    if seen is not None:
+        return seen, 1.0
+    if prior.spread < FORGOTTEN:
+        return prior.normal * prior.inverse_depth, 1.0
+    spread = float(np.hypot(belief.spread, height.BIAS))
+    if spread > GUESSED:
+        return None, 1.0
+    return (prior.normal * np.exp(-belief.log - FARTHEST * spread),
+            float(np.exp(2 * FARTHEST * spread)))
+
+
+def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rules,
+                rng: np.random.Generator, lone: np.ndarray | bool = False) -> PlaneFit | None:
+    """Find the ground among stationary blocks.
+
+    Parameters
+    ----------
+    depths : Depths
+    free : (N,) bool array
+        Stationary blocks that are not at infinity.
+    prior : GroundPrior
+        Beyond three standard deviations of it nothing is the ground.
+    lone : (N,) bool array, optional
+        Blocks on a ground that earlier pairs have shown, which need no neighbours.
+
+    Returns
+    -------
+    fit : PlaneFit or None
+        None where too few blocks agree, or too many lie below.
+    """
+    drop, ahead = corridor(depths.rays, prior.normal)
+    below_horizon = free & ahead & (depths.rho > 0)
+    sample = depths[below_horizon]
+    # Where it is known already it need not be found, only seen.
+    known = prior.spread < height.SURE
+    least = rules.min_macroblocks // (4 if known else 1)
+    if lattice.count_macroblocks(sample.x) < least:
+        return None
+    level = prior.normal * (sample.rho / drop[below_horizon])[:, None]
+    level = level[rng.integers(len(level), size=rules.trials)]
+    tilted = consensus.sample_planes(sample, 4 * rules.radius, rules.trials, rng)
+    hypotheses = np.vstack([level, tilted])
+    distance = prior.distance(hypotheses)
+    near = distance < 9
+    plane, _ = consensus.best_plane(sample, hypotheses[near], rules.cut, prior=distance[near],
+                                    blur=MAX_BLUR)
+    if plane is None:
+        return None
+    for _ in range(2):
+        sharp = sample[_sharp(sample, plane)]
+        if lattice.count_macroblocks(sharp.x) < least:
+            return None
+        mean, information = prior.information(plane)
+        plane, covariance = consensus.refine_plane(
+            sharp, plane, prior_plane=mean, prior_information=DEPENDENCE * information)
+    sharp = below_horizon & _sharp(depths, plane)
+    member = gather(depths, plane, sharp, rules)
+    member |= lone & sharp & (np.abs(depths.error(plane)) < rules.cut)
+    error = sample.error(plane)
+    below = sample[error < -rules.cut]
+    # What has been pulled to zero, or slid along a marking, lies at all depths. What lies above a
+    # ground may stand on it; but where most blocks lie elsewhere, chance makes a ground as well.
+    speaks = (_most_alike(below.rho / -(below.rays @ plane)) if known
+              else np.sum(np.abs(error) > rules.cut))
+    if (lattice.count_macroblocks(depths.x[member]) < least
+            or speaks > member.sum() or prior.distance(plane[None])[0] > 9):
+        return None
+    return PlaneFit(plane, covariance, member, is_ground=True)
+
+
+def course_of(t_cur_from_prev: np.ndarray) -> np.ndarray:
+    """Return the direction (3,) in the picture in which the camera goes, or comes from.
+
+    Its axis where that is out of the picture: then the road is what it looks at.
+    """
+    t = t_cur_from_prev
+    return t * np.sign(t[2]) if abs(t[2]) > IN_VIEW * np.linalg.norm(t) else AXIS
+
+
+def corridor(rays: np.ndarray, normal: np.ndarray, course: np.ndarray = AXIS):
+    """Return how far rays (N, 3) fall on the way of one unit, and which may meet the road."""
+    drop = -rays @ normal
+    return drop, (drop > MIN_DROP) & (np.abs(rays @ _across(normal, course)) < CORRIDOR * drop)
+
+
+def _sharp(depths: Depths, plane: np.ndarray) -> np.ndarray:
+    """Return the blocks (N,) whose depth on the plane would be known to MAX_BLUR.
+
+    Toward the horizon the ground's parallax vanishes, and what stands on it passes for ground:
+    always nearer, never farther, which tilts the plane and with it the camera's height (by 20 %
+    in the height for 2 degrees, as measured).
+    """
+    return depths.sigma < MAX_BLUR * np.maximum(-depths.rays @ plane, 1e-9)
+
+
+def _most_alike(values: np.ndarray) -> int:
+    """Return how many positive values (N,) at most differ by less than a share ALIKE."""
+    log = np.sort(np.log(values))
+    return int(np.max(np.searchsorted(log, log + ALIKE) - np.arange(len(log)), initial=0))
+
+
+def _across(normal: np.ndarray, course: np.ndarray) -> np.ndarray:
+    """Return the unit vector (3,) along the ground and across the course (3,)."""
+    across = np.cross(normal, course)
+    return across / np.linalg.norm(across)

@@ -1,0 +1,41 @@
+"""Joint re-estimation of camera motion and stationary planes, (10) of [MVO]."""
+
+from mv_slapse.geometry import two_view
+from mv_slapse.kernels.binding import compiled
+import numpy as np
+
+WIDTH = 3.0  # of the Geman-McClure kernel [sigma]
+LEFT_OUT = -2  # in place of a plane's number: what moves by itself
+
+
+def reestimate(pair: two_view.Pair, motion, planes, index, relief: float, *, steps: int = 4,
+               expected=()):
+    """Minimise (10) over rotation, direction and planes.
+
+    Gauss-Newton with Levenberg-Marquardt damping; |t| stays 1, the unit of the pair.
+
+    Parameters
+    ----------
+    pair : Pair
+    motion : (R (3, 3), t (3,))
+        Start, X_cur = R X_prev + t with |t| = 1.
+    planes : (P, 3) array
+        Start, n / d in camera k [1/baseline].
+    index : (N,) int array
+        Plane of each correspondence; -1 tells of the motion alone; LEFT_OUT of nothing.
+    relief : float
+        See two_view.normal_equations.
+    steps : int
+    expected : sequence of (int, (3,) array, (3, 3) array), optional
+        What is known of a plane beforehand: its number, mean and information.
+
+    Returns
+    -------
+    R, t, planes : arrays
+    covariance : (6 + 3 P, 6 + 3 P) array
+        Of (rotation, direction, planes); singular along t.
+    """
+    options = np.array([relief, WIDTH, 1.0, 1.0, 0.0, 0.0])
+    return compiled.reestimate(
+        *two_view.columns(pair, *motion), np.ascontiguousarray(index, np.int64),
+        np.array(planes, float).reshape(-1, 3), options, list(expected), steps)

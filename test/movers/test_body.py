@@ -1,0 +1,125 @@
+"""Bodies below the ground: drawn blocks, each of which by itself may be ground."""
+
+from types import SimpleNamespace
+
+from mv_slapse.movers import body
+from mv_slapse.movers.body import Blocks, bodies, with_bodies
+import numpy as np
+import pytest
+
+SIZE = (640, 480)
+HORIZON, SLOPE = 240.0, 8e-4  # row; inverse depth of the ground for each row below it [1/baseline]
+NOISE = 0.14  # of a block's inverse depth, as a share of the ground's there
+CAR, FOOT = (380.0, 448.0), 296.0  # columns and lowest row of a car [px]
+X = np.stack(np.meshgrid(np.arange(7.5, 640, 16), np.arange(7.5, 480, 16)), -1).reshape(-1, 2)
+X = X[X[:, 1] > HORIZON + 4]
+UNDER = SLOPE * (X[:, 1] - HORIZON)
+ON_CAR = (X[:, 0] > CAR[0]) & (X[:, 0] < CAR[1]) & (X[:, 1] < FOOT)
+NEARNESS = 0.4  # of the car, as a share of the ground's at its foot
+# Where the ground is nearer than the car by more than two standard deviations of a block.
+HIDING = ON_CAR & (X[:, 1] > HORIZON + 1.4 * NEARNESS * (FOOT - HORIZON))
+
+
+def blocks(seed=0, car=NEARNESS, ground=1.0, noise=NOISE, size=16.0):
+    """Return blocks of a ground, and of a car with a share of its inverse depth at the foot."""
+    rng = np.random.default_rng(seed)
+    rho = ground * UNDER
+    if car is not None:
+        rho = np.where(ON_CAR, car * SLOPE * (FOOT - HORIZON), rho)
+    sigma = noise * UNDER
+    return Blocks(X, np.full(X.shape, size), rho + sigma * rng.standard_normal(len(X)), sigma,
+                  UNDER)
+
+
+def field_of(given, below=None, fits=None):
+    """Return what moving_regions knows of blocks."""
+    n = len(given.x)
+    return SimpleNamespace(
+        x=given.x, block=given.block, rho=given.rho,
+        seen=SimpleNamespace(sigma=given.sigma, under=given.under),
+        below=np.zeros(n, bool) if below is None else below,
+        fits=np.ones(n, bool) if fits is None else fits)
+
+
+def is_alone(given):
+    """Return which blocks would look farther than the ground by themselves."""
+    return given.rho + 3 * given.sigma < 0.8 * given.under
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_blocks_that_may_each_be_ground_make_a_body(seed):
+    given = blocks(seed)
+    assert np.mean(is_alone(given)[HIDING]) <= 0.5
+    largest = max(bodies(given, SIZE), key=len)
+    assert np.mean(np.isin(np.flatnonzero(HIDING), largest)) >= 0.6
+    assert np.mean(ON_CAR[largest]) >= 0.9
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_ground_alone_makes_no_body(seed):
+    assert all(len(body) < 4 for body in bodies(blocks(seed, car=None), SIZE))
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_what_is_nearer_than_the_ground_makes_no_body(seed):
+    assert all(len(body) < 4 for body in bodies(blocks(seed, car=1.6), SIZE))
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_ground_that_is_not_where_it_should_be_hides_nothing(seed):
+    assert all(len(body) < 6 for body in bodies(blocks(seed, car=None, ground=0.7), SIZE))
+
+
+def test_a_body_is_bounded_by_its_depth_not_by_what_is_wrong():
+    given = blocks(0)
+    wrong = ON_CAR & (X[:, 0] < CAR[0] + 16)
+    given.rho[wrong] = -2 * UNDER[wrong]
+    largest = max(bodies(given, SIZE), key=len)
+    assert not np.any(wrong[largest])
+
+
+@pytest.mark.parametrize('size', [8.0, 16.0])
+def test_one_vector_makes_no_body_however_large_its_block(size):
+    one = np.flatnonzero(HIDING)[:1]
+    given = Blocks(*(values[one] for values in blocks(0, noise=0.01, size=size)))
+    assert is_alone(given).all()
+    assert not bodies(given, SIZE)
+
+
+def test_no_blocks_make_no_body():
+    assert bodies(Blocks(np.zeros((0, 2)), np.zeros((0, 2)), *np.zeros((3, 0))), SIZE) == []
+
+
+def test_a_body_takes_a_region_that_looks_farther_and_leaves_others_alone():
+    given = blocks(0)
+    below = np.zeros(len(X), bool)
+    fragment = np.flatnonzero(HIDING & (X[:, 1] > FOOT - 16))
+    below[fragment] = True
+    other = np.flatnonzero(HIDING & (X[:, 0] < CAR[0] + 16))
+    regions = with_bodies([other, fragment], field_of(given, below), SIZE, 4, 24.0)
+    assert np.array_equal(regions[0], other)
+    largest = max(regions[1:], key=len)
+    assert len(largest) > len(fragment)
+    assert not np.any(np.isin(other, np.concatenate(regions[1:])))
+
+
+def test_what_surrounds_a_larger_region_is_none_by_itself():
+    given = blocks(0)
+    ring = (X[:, 0] > CAR[0] - 40) & (X[:, 0] < CAR[1] + 40) & (X[:, 1] < FOOT + 20)
+    inside = np.flatnonzero(ring & ~HIDING)
+    below = np.isin(np.arange(len(X)), inside)
+    assert len(inside) > HIDING.sum()
+    regions = with_bodies([inside], field_of(given, below, ~below), SIZE, 4, 24.0)
+    assert len(regions) == 1
+    assert np.array_equal(regions[0], inside)
+
+
+def test_only_blocks_that_follow_their_epipolar_lines_count():
+    given = blocks(0)
+    assert with_bodies([], field_of(given), SIZE, 4, 24.0)
+    assert not with_bodies([], field_of(given, fits=~ON_CAR), SIZE, 4, 24.0)
+
+
+def test_the_uneven_ground_is_measured_from_what_lies_below_it():
+    assert body._unevenness(blocks(0, car=None, noise=0.05)) == pytest.approx(0.07, abs=0.01)
+    assert body._unevenness(blocks(0, car=None, ground=0.7, noise=0.05)) > 0.3

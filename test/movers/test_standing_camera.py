@@ -1,0 +1,55 @@
+"""What moves before a camera that stands, where no depth tells how a surface grows."""
+
+from mv_slapse.config import ExtractionSettings
+from mv_slapse.extraction.extractor import PlaneExtractor
+from mv_slapse.movers.regions import Memory, with_moving_planes
+from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus, SegmentKind
+from mv_slapse.simulation.drawn import draw
+from mv_slapse.simulation.street import Street, StreetSettings
+import numpy as np
+import pytest
+
+K = np.array([[700.0, 0, 320], [0, 700, 180], [0, 0, 1]])
+GRID = np.stack(np.meshgrid(np.arange(7.5, 640, 16), np.arange(7.5, 360, 16)), -1).reshape(-1, 2)
+CAR = (np.abs(GRID[:, 0] - 320) < 60) & (GRID[:, 1] > 180) & (GRID[:, 1] < 290)
+
+
+def moved(motion, threshold):
+    """Return what 0.2 s show of a car whose blocks move by ``motion(x)`` [px] before all else."""
+    n, off = len(GRID), motion(GRID) * CAR[:, None]
+    return with_moving_planes(Extraction(
+        10**9, 8 * 10**8, 640, 360, SegmentKind.PP, K,
+        CameraMotion(MotionStatus.STANDSTILL, np.eye(3), np.zeros(3)), (), '',
+        GRID.astype(np.float32), (GRID - off).astype(np.float32), np.full(n, 0.3, np.float32),
+        np.full((n, 2), 16, np.uint8), np.zeros(n, np.int8), np.full(n, -1, np.int32)),
+        None, Memory(), threshold)[0]
+
+
+@pytest.mark.parametrize('growth', [-0.1, 0.1])
+def test_a_car_near_by_is_one_region(growth):
+    found = moved(lambda x: growth * (x - (320, 235)), 10.0)
+    assert np.mean(found.label[CAR] == Label.MOVING) == 1.0
+    assert [plane.n_macroblocks for plane in found.planes] == [CAR.sum()]
+
+
+def test_what_parts_is_two_regions():
+    found = moved(lambda x: np.sign(x - (320, 0)) * (1.6, 0), 5.0)
+    sides = [found.plane_id[CAR & (side * (GRID[:, 0] - 320) > 0)] for side in (-1, 1)]
+    assert [len(set(ids)) for ids in sides] == [1, 1]
+    assert sides[0][0] != sides[1][0]
+    assert -1 not in (sides[0][0], sides[1][0])
+
+
+def test_a_standing_camera_sees_traffic(rng):
+    street = Street(StreetSettings(seed=1, movers=('oncoming',), n_frames=200,
+                                   standstill=(0.0, 20.0)))
+    extractor, hits, wrong = PlaneExtractor(street.camera, ExtractionSettings()), [], []
+    for j in range(148, 196, 4):
+        drawn = draw(street, j - 4, j, rng, 0.05, 0.0)
+        found = extractor.extract(drawn.correspondences)
+        assert found.motion.status is MotionStatus.STANDSTILL
+        on_it = drawn.label == Label.MOVING
+        hits.append(np.mean(found.label[on_it] == Label.MOVING) >= 0.5)
+        wrong.append(np.mean(found.label[~on_it] == Label.MOVING))
+    assert np.mean(hits[3:]) > 0.7
+    assert max(wrong) < 0.01

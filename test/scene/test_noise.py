@@ -1,0 +1,88 @@
+"""How far errors go together, measured on pairs whose errors are known."""
+
+from dataclasses import replace
+
+import canyon
+from canyon import motion, views
+import made_up
+from mv_slapse.config import SceneSettings
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.records import Label, PlaneObservation
+from mv_slapse.scene import state as scene_state
+from mv_slapse.scene.noise import Dependence, HeightWander, measured
+import numpy as np
+import pytest
+from scipy import ndimage
+
+
+def pair(rng, together):
+    """Return a canyon whose errors have a share of their variance in common with neighbours."""
+    scene = views(*motion('ahead'))
+    cell = (scene.x_cur // 16).astype(int)
+    wide = rng.normal(size=(*cell.max(axis=0) + 1, 2))
+    smooth = 3 * ndimage.uniform_filter(rng.normal(size=wide.shape), (3, 3, 0), mode='wrap')
+    error = np.sqrt(1 - together) * wide + np.sqrt(together) * smooth
+    x_prev = scene.x_true + 0.3 * error[tuple(cell.T)]
+    return replace(scene.pair, x_prev=x_prev, sigma=np.full(len(cell), 0.3),
+                   rays_prev=to_rays(canyon.K, x_prev)), scene.R, scene.t
+
+
+@pytest.mark.parametrize(('together', 'low', 'high'), [(0.0, 0.75, 1.2), (0.5, 3.4, 5.2)])
+def test_dependence_is_the_variance_of_a_mean_over_that_of_independent_errors(together, low,
+                                                                              high):
+    """Errors shared by 3 x 3 macroblocks count 9 times: 1 + 8 together, less at the borders."""
+    found = [measured(*pair(np.random.default_rng(seed), together)) for seed in range(20)]
+    assert low < np.mean(found) < high
+
+
+def test_a_noise_twice_as_large_as_said_counts_four_times():
+    noisy, R, t = pair(np.random.default_rng(0), 0.0)
+    sure = replace(noisy, sigma=noisy.sigma / 1.5)
+    assert measured(sure, R, t) / measured(noisy, R, t) == pytest.approx(1.5**2, rel=0.3)
+
+
+def test_the_mean_forgets_where_it_began_and_one_bad_pair_moves_it_by_little():
+    dependence = Dependence(6.0)
+    for seed in range(30):
+        dependence = dependence.seen(*pair(np.random.default_rng(seed), 0.0))
+    settled = dependence.value
+    assert 1.0 <= settled < 1.4
+    dependence = dependence.seen(*pair(np.random.default_rng(99), 1.0))
+    assert settled < dependence.value < 1.5 * settled
+
+
+def test_a_few_correspondences_tell_nothing():
+    few, R, t = pair(np.random.default_rng(0), 0.0)
+    before = Dependence(6.0)
+    assert before.seen(few[:40], R, t) is before
+
+
+def after_pairs(departures, dt=0.1):
+    """Return the wander after pairs whose ground shows a baseline too long by these logs."""
+    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
+    state.current.t = np.array([0, 0, 1.0])
+    wander, settings = HeightWander(), SceneSettings(camera_height=1.6)
+    for log in departures:
+        ground = PlaneObservation(0, Label.STATIONARY, np.array([0, -np.exp(log) / 1.6, 0]),
+                                  np.eye(3), is_ground=True)
+        seen = replace(made_up.extraction(np.random.default_rng(0)), planes=(ground,),
+                       stamp=round(dt * 1e9), previous_stamp=0)
+        wander = wander.seen(state, seen, settings)
+    return wander, wander.lasting(settings), settings.camera_height_bias
+
+
+def test_a_height_that_stays_off_counts_as_an_error_that_lasts():
+    wander, lasting, least = after_pairs([0.1] * 100)
+    assert wander.mean == pytest.approx(0.1, rel=0.01)
+    assert lasting == pytest.approx(np.hypot(least, 0.1), rel=0.15)
+
+
+def test_heights_that_err_from_pair_to_pair_do_not_wander(rng):
+    _, lasting, least = after_pairs(rng.normal(0, 0.05, 200))
+    assert least <= lasting < np.hypot(least, 0.03)
+
+
+def test_without_a_known_height_nothing_wanders(rng):
+    wander = HeightWander()
+    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
+    assert wander.seen(state, made_up.extraction(rng), SceneSettings()) is wander
