@@ -5,7 +5,7 @@ not the end. The seeds are fixed: case i is the same on every machine.
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 import faulthandler
 import json
@@ -234,14 +234,14 @@ def files(folder: Path) -> Callable[[int], None]:
 TARGETS = {'streams': streams, 'messages': message_cases, 'bags': bags, 'files': files}
 
 
-def batch(target: str, first: int, n: int) -> list[Finding]:
+def batch(target: str, cases: Iterable[int], patience: int = STUCK) -> list[Finding]:
     """Run cases in this process, telling the number of each before it begins."""
     found = []
     with tempfile.TemporaryDirectory(dir=SPACE) as name:
         run = TARGETS[target](Path(name))
-        for case in range(first, first + n):
+        for case in cases:
             sys.stderr.write(f'case {case}\n')
-            signal.alarm(STUCK)
+            signal.alarm(patience)
             begin = time.process_time()
             try:
                 run(case)
@@ -277,7 +277,8 @@ def main() -> int:
     """Print findings as they come and a line for each target; return 1 where there are any."""
     if sys.argv[1:2] == ['--child']:
         faulthandler.enable()
-        found = batch(sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))
+        first, n = map(int, sys.argv[3:])
+        found = batch(sys.argv[2], range(first, first + n))
         print(json.dumps([item.__dict__ for item in found]))
         return 0
     parser = argparse.ArgumentParser(description=__doc__)
