@@ -277,8 +277,10 @@ class Headers:
         last, modulus = self._last, 1 << self.sps.log2_max_frame_num
         known = not header.is_idr and last is not None
         missing = (header.frame_num - last - 1) % modulus if known else 0
-        if header.is_reference or missing:
+        if header.is_reference:
             self._last = header.frame_num
+        elif missing:  # told once; a picture that is no reference has the number of the next one
+            self._last = (header.frame_num - 1) % modulus
         return missing
 
     def _slice(self, unit: bytes) -> SliceHeader:

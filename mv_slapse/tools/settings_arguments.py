@@ -68,7 +68,7 @@ def change(settings: Settings, name: str, value: Any) -> Settings:
 def _sections(content: dict) -> Iterable[tuple[str, dict]]:
     known = {field.name for field in fields(Settings)}
     for key, value in content.items():
-        if isinstance(value, dict) and 'ros__parameters' in value:
+        if isinstance(value, dict) and isinstance(value.get('ros__parameters'), dict):
             yield from ((name, part) for name, part in value['ros__parameters'].items()
                         if name in known and isinstance(part, dict))
         elif isinstance(value, dict):

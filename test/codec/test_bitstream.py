@@ -69,6 +69,48 @@ def test_a_lost_packet_leaves_a_gap_in_frame_num(rng):
         assert gaps == expected
 
 
+def numbered(*pictures, first=0):
+    """Return how many references are missing before each of (is a reference, frame_num)."""
+    headers = bitstream.Headers()
+    headers.sps = bitstream.SequenceParameters(64, 48, 1, False, 4, False, False, 0, 4)
+    return [headers.missing(bitstream.SliceHeader(i == 0, is_reference, number, 1))
+            for i, (is_reference, number) in enumerate(pictures)]
+
+
+def test_a_gap_is_told_once_also_at_a_picture_that_is_no_reference():
+    r, b = True, False
+    assert numbered((r, 0), (r, 1), (b, 2), (b, 2), (r, 2)) == [0] * 5
+    assert numbered((r, 0), (r, 1), (b, 3), (b, 3), (r, 3), (r, 4)) == [0, 0, 1, 0, 0, 0]
+    assert numbered((r, 0), (r, 15), (b, 0), (r, 0), (r, 3)) == [0, 14, 0, 0, 2]
+
+
+def test_parameter_sets_that_no_encoder_writes_are_not_believed():
+    """A counter of 2^30 bits would fill the memory, a number of a million zeros take for ever."""
+    def ue(value):
+        text = bin(value + 1)[2:]
+        return '0' * (len(text) - 1) + text
+
+    def sps(log2):
+        bits = f'{77:08b}' + '0' * 16 + ue(0) + ue(log2) + ue(2) + ue(1)
+        bits += '0' + ue(3) + ue(2) + '1'
+        bits += '1' + '0' * (-(len(bits) + 1) % 8)
+        return b'\x67' + int(bits, 2).to_bytes(len(bits) // 8, 'big')
+
+    assert bitstream.parse_sps(sps(4)).log2_max_frame_num == 8
+    assert bitstream.parse_sps(sps(1 << 30)) is None
+    assert bitstream.parse_sps(b'\x67\x4d' + bytes(1_000_000)) is None
+    assert bitstream.parse_pps(b'\x68' + bytes(1_000_000)) is None
+
+
+def test_extradata_that_is_cut_gives_the_units_before_the_cut():
+    units = [b'\x67' + bytes(range(1, 10)), b'\x68\xaa']
+    extradata = (b'\x01\x64\x00\x1f\xff\xe1' + len(units[0]).to_bytes(2, 'big') + units[0]
+                 + b'\x01' + len(units[1]).to_bytes(2, 'big') + units[1])
+    for size in range(1, len(extradata) + 1):
+        found = list(bitstream.parameter_sets(extradata[:size]))
+        assert found == units[:(size >= 18) + (size >= len(extradata))]
+
+
 def test_b_frames_leave_no_gap(rng):
     headers = bitstream.Headers()
     packets = encode(pictures.sliding(rng, 30, (2, 1)), 30, Encoding('h264', 2, 12))

@@ -5,7 +5,7 @@ not the end. The seeds are fixed: case i is the same on every machine.
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 import faulthandler
 import json
@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 import traceback
+from typing import Any
 
 import made_up
 from mv_slapse import fields
@@ -41,6 +42,7 @@ LONGEST = 2.0  # s of CPU for one case; above, it counts as a hang
 STUCK = 60  # s after which a case is ended, on a machine that does other things, too
 BATCH = 200  # cases of one child process
 COUNTS = {'streams': 20_000, 'messages': 100_000, 'bags': 5_000, 'files': 5_000}
+ODD_NUMBERS = (float('nan'), float('inf'), -float('inf'), 0.0, -1.0, 1e300, 1e-300)
 SPACE = '/dev/shm' if Path('/dev/shm').is_dir() else None
 
 
@@ -133,14 +135,54 @@ def message_cases(folder: Path) -> Callable[[int], None]:
     def run(case: int):
         rng, name = np.random.default_rng(case), names[case % len(names)]
         data, read = known[name]
+        if case // len(names) % 2:
+            msg = store.deserialize_cdr(data, name)
+            for _ in range(int(rng.integers(1, 4))):
+                alter(msg, rng)
+            check_record(read(msg))
+            return
         data = mutations.MUTATIONS[case // len(names) % len(mutations.MUTATIONS)](data, rng)
         try:
             msg = store.deserialize_cdr(data, name)
         except Exception:  # noqa: BLE001 (rosbags' own; no node sees it)
             return
-        read(msg)
+        check_record(read(msg))
 
     return run
+
+
+def alter(msg: Any, rng: np.random.Generator):
+    """Give a field of a message, or of one within, a value that its type allows."""
+    names = [name for name in vars(msg) if not name.startswith('__')]
+    name = names[int(rng.integers(len(names)))]
+    value = getattr(msg, name)
+    if isinstance(value, np.ndarray):
+        how = int(rng.integers(4))
+        if how == 0:
+            value = value[:int(rng.integers(0, len(value) + 1))]
+        elif how == 1:
+            value = np.concatenate([value, value, value[:1]])
+        elif len(value):
+            value = value.copy()
+            odd = ODD_NUMBERS if value.dtype.kind == 'f' else (0, 1, np.iinfo(value.dtype).max)
+            value[int(rng.integers(len(value)))] = odd[int(rng.integers(len(odd)))]
+        setattr(msg, name, value)
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        odd = ODD_NUMBERS if isinstance(value, float) else (0, 1, 99, 255, 2**31 - 1)
+        setattr(msg, name, odd[int(rng.integers(len(odd)))])
+    elif isinstance(value, list) and value:
+        alter(value[int(rng.integers(len(value)))], rng)
+    elif hasattr(value, '__dataclass_fields__'):
+        alter(value, rng)
+
+
+def check_record(record: Any):
+    """Refuse a record of which a column is not finite, or as long as the others."""
+    if hasattr(record, 'x_cur'):
+        columns = record.x_cur, record.x_prev, record.sigma, record.block
+        check_columns(*columns)
+        if len({len(column) for column in columns}) > 1:
+            raise AssertionError('columns differ in length')
 
 
 def bags(folder: Path) -> Callable[[int], None]:
@@ -192,14 +234,14 @@ def files(folder: Path) -> Callable[[int], None]:
 TARGETS = {'streams': streams, 'messages': message_cases, 'bags': bags, 'files': files}
 
 
-def batch(target: str, first: int, n: int) -> list[Finding]:
+def batch(target: str, cases: Iterable[int], patience: int = STUCK) -> list[Finding]:
     """Run cases in this process, telling the number of each before it begins."""
     found = []
     with tempfile.TemporaryDirectory(dir=SPACE) as name:
         run = TARGETS[target](Path(name))
-        for case in range(first, first + n):
+        for case in cases:
             sys.stderr.write(f'case {case}\n')
-            signal.alarm(STUCK)
+            signal.alarm(patience)
             begin = time.process_time()
             try:
                 run(case)
@@ -235,7 +277,8 @@ def main() -> int:
     """Print findings as they come and a line for each target; return 1 where there are any."""
     if sys.argv[1:2] == ['--child']:
         faulthandler.enable()
-        found = batch(sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))
+        first, n = map(int, sys.argv[3:])
+        found = batch(sys.argv[2], range(first, first + n))
         print(json.dumps([item.__dict__ for item in found]))
         return 0
     parser = argparse.ArgumentParser(description=__doc__)
