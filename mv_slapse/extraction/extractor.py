@@ -30,7 +30,7 @@ from mv_slapse.surfaces import depth_grid, ground, joint, plane_search
 from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount
 from mv_slapse.surfaces.plane_search import PlaneFit
-from mv_slapse.surfaces.plane_track import KnownPlane
+from mv_slapse.surfaces.plane_track import KnownPlanes
 import numpy as np
 
 # Mean robust cost at which the last motion explains a pair as well as five points would: about two
@@ -204,9 +204,9 @@ class PlaneExtractor:
             depths, free, known,
             prior.normal if floor is None else floor.plane / np.linalg.norm(floor.plane),
             self._rules, self._rules.max_planes - len(found), self._memory.next_id)
-        newest = max((plane.id for plane in known), default=-1)
+        newest = int(known.id.max(initial=-1))
         self._memory = replace(
-            self._memory, planes=tuple(known), next_id=max(self._memory.next_id, newest + 1),
+            self._memory, planes=known, next_id=max(self._memory.next_id, newest + 1),
             grid=depth_grid.noted(blank.width, blank.height, depths[free]))
         return found + walls
 
@@ -218,15 +218,13 @@ class PlaneExtractor:
         return depth_grid.joined(depths, *grid.predicted(
             pair, fit.R_cur_from_prev, fit.t_cur_from_prev, float(np.exp(ratio.log))))
 
-    def _known(self, blank, fit: MotionFit, ratio) -> list[KnownPlane]:
+    def _known(self, blank, fit: MotionFit, ratio) -> KnownPlanes:
         """Predict the planes of the last pair; none where this pair does not follow it."""
         memory = self._memory
         if memory.stamp != blank.previous_stamp:
-            return []
-        log, sigma = self._memory.log_ratio(blank, ratio)
-        R, t = fit.R_cur_from_prev, fit.t_cur_from_prev
-        predicted = (plane.predicted(R, t, log, sigma) for plane in memory.planes)
-        return [plane for plane in predicted if plane is not None]
+            return KnownPlanes.none()
+        return memory.planes.predicted(fit.R_cur_from_prev, fit.t_cur_from_prev,
+                                       *memory.log_ratio(blank, ratio))
 
     def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio, lone) -> Found:
         """Find what moves by itself, and take it out of the stationary planes."""
@@ -252,8 +250,9 @@ class PlaneExtractor:
         planes = [replace(plane, member=plane.member & still) for plane in found.planes
                   if plane.is_ground or np.mean(still[plane.member]) > 0.5]
         lost = {plane.id for plane in found.planes} - {plane.id for plane in planes}
-        self._memory = replace(self._memory, planes=tuple(
-            plane for plane in self._memory.planes if plane.id not in lost))
+        if lost:
+            known = self._memory.planes
+            self._memory = replace(self._memory, planes=known[~np.isin(known.id, list(lost))])
         unsure = possibly_dynamic.like_movers(shown)
         if seen is not None:
             unsure |= possibly_dynamic.below(pair, fit.R_cur_from_prev, fit.t_cur_from_prev,
