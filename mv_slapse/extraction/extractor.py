@@ -28,7 +28,7 @@ from mv_slapse.records import (
 )
 from mv_slapse.surfaces import depth_grid, ground, joint, plane_search
 from mv_slapse.surfaces.consensus import Depths
-from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount
+from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride, Vectors
 from mv_slapse.surfaces.plane_search import PlaneFit
 from mv_slapse.surfaces.plane_track import KnownPlanes
 import numpy as np
@@ -51,6 +51,7 @@ class PlaneExtractor:
             spread=settings.ground_tilt, widest=settings.ground_tilt)))
         self._movers = regions.Memory()
         self._silhouettes = Silhouettes()
+        self._draws = np.random.default_rng(settings.seed).random((settings.trials, 10))
         self._rules = plane_search.Rules(
             settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
             settings.max_planes, settings.max_uncertainty)
@@ -190,11 +191,10 @@ class PlaneExtractor:
     def _planes(self, blank, pair, evidence, fit, ratio, prior: GroundPrior,
                 free, road: np.ndarray) -> list[PlaneFit]:
         """Find the ground, then known planes, then new ones, among stationary blocks."""
-        rng = np.random.default_rng(self._settings.seed)
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
         free = free & _with_depth(evidence)
         found = []
-        floor = ground.find_ground(depths, free, prior, self._rules, rng, road)
+        floor = ground.find_ground(depths, free, prior, self._rules, self._draws, road)
         if floor is not None:
             found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
@@ -281,10 +281,11 @@ class PlaneExtractor:
         # What flies has no way on the ground.
         turn = rotation.angle(fit.R_cur_from_prev) if memory.ground.mount.rides else 0.0
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, whole.x_cur)
+        ride = Ride(ground.course_of(fit.t_cur_from_prev), turn,
+                    memory.is_comparable(whole, ratio))
         belief, prior, road = ground.survey(
-            depths, pair.sigma, evidence, lone, self._ground_prior(whole, fit, ratio),
-            memory.height.moved(*memory.log_ratio(whole, ratio)), self._settings.epsilon_h,
-            turn, memory.is_comparable(whole, ratio), ground.course_of(fit.t_cur_from_prev))
+            depths, Vectors(pair.sigma, evidence, lone), self._ground_prior(whole, fit, ratio),
+            memory.height.moved(*memory.log_ratio(whole, ratio)), ride, self._settings.epsilon_h)
         self._memory = replace(memory, height=belief)
         return prior, road
 

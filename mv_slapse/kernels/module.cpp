@@ -2,6 +2,7 @@
 
 #include <pybind11/pybind11.h>
 
+void bind_ground(pybind11::module_& module);
 void bind_lattice(pybind11::module_& module);
 void bind_small(pybind11::module_& module);
 void bind_surfaces(pybind11::module_& module);
@@ -9,6 +10,7 @@ void bind_surfaces(pybind11::module_& module);
 PYBIND11_MODULE(mv_slapse_kernels, module) {
   module.doc() = "Kernels of mv_slapse: pure functions of arrays, without state or threads.";
   module.attr("sanitized") = SANITIZED;
+  bind_ground(module);
   bind_lattice(module);
   bind_small(module);
   bind_surfaces(module);

@@ -102,8 +102,8 @@ def stationary_planes(depths: Depths, free: np.ndarray, known: KnownPlanes,
     """
     nearby = known[~known.is_away] if len(known) else known
     source, seen, plane, covariance, own, own_covariance, member = compiled.find_planes(
-        depths.rays, depths.rho, depths.sigma, np.ascontiguousarray(depths.x, float), free,
-        nearby.plane, nearby.covariance, nearby.seen, up, room, rules.policy)
+        *depths.columns, free, nearby.plane, nearby.covariance, nearby.seen, up, room,
+        rules.policy)
     id = np.array([-1 if i < 0 else nearby.id[i] for i in source], np.int64)
     found = KnownPlanes(plane, covariance, id, seen, np.zeros_like(seen))
     lost = known
@@ -119,15 +119,3 @@ def stationary_planes(depths: Depths, free: np.ndarray, known: KnownPlanes,
         # A plane that is not confirmed yet lasts while nothing takes its place.
         found += known[~np.isin(known.id, id)].unseen()
     return fits, found
-
-
-def gather(depths: Depths, plane, free, rules: Rules) -> np.ndarray:
-    """Return the mask (N,) of free blocks that agree with a plane and lie together.
-
-    A block far from all others that agrees does so by chance: components of less than a quarter
-    of the smallest plane are left out.
-    """
-    member = free & (np.abs(depths.error(plane)) < rules.cut)
-    index = np.flatnonzero(member)
-    member[index] = lattice.largest_components(depths.x[index], rules.min_macroblocks // 4)
-    return member

@@ -147,16 +147,6 @@ def test_the_same_blocks_give_the_same_planes(rng):
     np.testing.assert_array_equal(a.plane, b.plane)
 
 
-def test_gather_leaves_out_what_agrees_by_chance(rng):
-    depths, surface = walls(rng)
-    free = (surface == 0) & (depths.x[:, 1] > 300)
-    alone = np.flatnonzero((surface == 0) & (depths.x[:, 1] < 100))[:2]
-    free[alone] = True
-    member = plane_search.gather(depths, WALLS[0], free, RULES)
-    assert member.sum() > 0.9 * free.sum() - 2
-    assert not member[alone].any()
-
-
 def test_a_plane_is_as_dense_outside_an_undistorted_picture_as_in_it(rng):
     """A fisheye's blocks lie hundreds of pixels to the left of the picture and above it."""
     depths, _ = walls(rng)
