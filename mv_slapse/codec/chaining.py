@@ -114,7 +114,7 @@ def _sample(pair: Correspondences, x: np.ndarray, settings: DecoderSettings):
     weight /= np.maximum(whole, 1e-6)[:, None]
     sigma = np.r_[pair.sigma, np.float32(0)][near]
     variance = (weight * sigma ** 2).sum(axis=1)
-    return (weight[:, None] @ vector)[:, 0], variance, known
+    return np.einsum('ni,nij->nj', weight, vector), variance, known
 
 
 def _of_one_surface(vector: np.ndarray, lead: np.ndarray, settings: DecoderSettings) -> np.ndarray:

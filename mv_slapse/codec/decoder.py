@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from mv_slapse.blas import one_thread
 from mv_slapse.codec.bridging import can_bridge, search
 from mv_slapse.codec.chaining import Chainer
 from mv_slapse.codec.evidence import collect, halves
@@ -33,6 +34,7 @@ class CorrespondenceDecoder:
         self._expect = MotionPrior()
         self._usual = 0
 
+    @one_thread
     def feed(self, packet: Packet) -> list[Correspondences]:
         """Return the correspondences that this packet completes, often none, in order of time.
 
@@ -40,6 +42,7 @@ class CorrespondenceDecoder:
         """
         return self._join(self._frames.feed(packet))
 
+    @one_thread
     def flush(self) -> list[Correspondences]:
         """Return what is still held back at the end of the stream."""
         return self._join(self._frames.flush()) + self._chainer.flush()

@@ -256,12 +256,12 @@ def _cells(x: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 def _cluster(slots: _Slots, settings: DecoderSettings) -> _Cluster:
     gap = _square_gap(slots.vector[:, :, None], slots.vector[:, None])
     agree = gap < _limit(slots.vector, settings, 0.25)[:, :, None] ** 2
-    mass = (agree @ slots.weight[:, :, None])[:, :, 0] * (slots.weight > 0)
+    mass = np.einsum('nij,nj->ni', agree, slots.weight) * (slots.weight > 0)
     cell, lead = np.arange(len(mass)), mass.argmax(axis=1)
     member = agree[cell, lead] & (slots.weight > 0)
     weight = slots.weight * member
     whole = np.maximum(weight.sum(axis=1), 1e-9)
-    x, vector = ((weight[:, None] @ part)[:, 0] / whole[:, None]
+    x, vector = (np.einsum('ni,nij->nj', weight, part) / whole[:, None]
                  for part in (slots.x, slots.vector))
     variance = (weight ** 2 * slots.variance).sum(axis=1) / whole ** 2
     heaviest = np.maximum(slots.weight[cell, lead], 1e-9)

@@ -3,10 +3,11 @@
 from dataclasses import replace
 import itertools
 
+from mv_slapse.blas import one_thread
 from mv_slapse.config import ExtractionSettings, USUAL_HEIGHT
 from mv_slapse.extraction.pair_estimate import Found, labels, observations
 from mv_slapse.extraction.state import Memory
-from mv_slapse.geometry import epipolar, rotation, two_view
+from mv_slapse.geometry import rotation, two_view
 from mv_slapse.geometry.camera import Camera, undistort
 from mv_slapse.motion import (
     baseline,
@@ -16,6 +17,7 @@ from mv_slapse.motion import (
 )
 from mv_slapse.motion import observations as block_observations
 from mv_slapse.motion.estimate import MotionFit, refined_from
+from mv_slapse.motion.observations import BlockObservations
 from mv_slapse.movers import possibly_dynamic, regions
 from mv_slapse.movers.mask import Silhouettes
 from mv_slapse.movers.reference_depth import departure, depths_of
@@ -56,6 +58,7 @@ class PlaneExtractor:
             settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
             settings.max_planes, settings.max_uncertainty)
 
+    @one_thread
     def extract(self, correspondences: Correspondences) -> Extraction:
         """Extract what one key frame pair shows; figure 1 of [MVO], top.
 
@@ -71,34 +74,35 @@ class PlaneExtractor:
     def _shown(self, whole: Extraction, lone: np.ndarray, reason: str):
         """Return what a pair shows, and the rows of the whole that it made use of."""
         settings, rows = self._settings, np.flatnonzero(~lone)
-        blank, pair = status.only(whole, rows), status.pair(whole)
-        reason = reason or status.too_few(pair[rows])
+        reason = reason or status.too_few(len(rows))
         if reason:
-            return replace(blank, reason=reason), rows
-        if status.stands_still(pair[rows], blank, settings.standstill_share):
-            return self._standing(blank), rows
-        fit, free = self._first_motion(blank, pair[rows])
-        noise = estimate.calibrated(pair[rows], fit, self._memory.noise)
+            return replace(status.only(whole, rows), reason=reason), rows
+        pair = status.pair(whole)
+        supported = pair[rows]
+        if status.stands_still(supported, whole, rows, settings.standstill_share):
+            return self._standing(status.only(whole, rows)), rows
+        fit, free = self._first_motion(whole, supported)
+        noise = estimate.calibrated(supported, fit, self._memory.noise)
         pair = replace(pair, sigma=noise * pair.sigma)
-        evidence = block_observations.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
-                                     settings.relief)
-        if evidence.epipolar_inlier[rows].mean() < settings.min_inliers:
-            return replace(blank, reason=status.disagreement(evidence[rows])), rows
-        turned = self._turned(blank, pair[rows], evidence[rows], fit)
+        seen = self._observed(pair, fit)
+        if seen.epipolar_inlier[rows].mean() < settings.min_inliers:
+            return replace(status.only(whole, rows), reason=status.disagreement(seen[rows])), rows
+        turned = self._turned(whole, seen, rows, fit.R_cur_from_prev)
         if turned is not None:
             return turned, rows
-        ratio = self._ratio(blank, pair[rows], evidence[rows], fit)
-        floor, road = self._survey(whole, pair, evidence, lone, fit, ratio)
+        ratio = self._ratio(whole, seen, ~lone, fit)
+        floor, road = self._survey(whole, pair, seen, lone, fit, ratio)
         free = status.spread(free, rows, len(whole.x_cur))
         left, rows = np.flatnonzero(lone & ~road), np.flatnonzero(~lone | road)
         left = replace(status.only(whole, left), sigma=pair.sigma[left])
-        blank, pair, evidence = status.only(whole, rows), pair[rows], evidence[rows]
+        blank, evidence = status.only(whole, rows), seen[rows]
+        pair = evidence.pair
         found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor,
                                                   free[rows], road[rows]))
         found = self._moving(blank, pair, self._named(found), floor, ratio, left)
         found = self._refined(pair, found, floor)
         # Anew, by the motion that the next pair will compare with: its error then cancels.
-        ratio = self._ratio(blank, pair, found.evidence, found.fit)
+        ratio = self._ratio(blank, found.evidence, True, found.fit)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
         return self._finished(blank, pair, found, noise, floor), rows
 
@@ -125,19 +129,27 @@ class PlaneExtractor:
                               covariance=np.diag([1e-8] * 3 + [0.0] * 3))
         return self._without_baseline(blank, motion, still)
 
-    def _turned(self, blank: Extraction, pair: two_view.Pair,
-                evidence: block_observations.Evidence, fit: MotionFit) -> Extraction | None:
-        """Label a key frame pair of a camera that turns on the spot; None where it moves."""
-        if not block_observations.may_turn(evidence, self._settings.epsilon_m):
+    def _observed(self, pair: two_view.Pair, fit: MotionFit) -> BlockObservations:
+        """Return what the blocks of a pair say under a motion."""
+        settings = self._settings
+        return block_observations.observe(pair, fit, settings.epsilon_f, settings.epsilon_m,
+                                          settings.relief)
+
+    def _turned(self, whole: Extraction, seen: BlockObservations, rows: np.ndarray,
+                R: np.ndarray) -> Extraction | None:
+        """Label the supported rows of a camera that turns on the spot; None where it moves."""
+        settings = self._settings
+        parallax = seen.parallax[rows][seen.epipolar_inlier[rows]]
+        if not block_observations.may_turn(parallax, settings.epsilon_m):
             return None
-        R, covariance, off = estimate.turn(pair.rays_cur, pair.rays_prev, pair.sigma,
-                                                pair.focal, fit.R_cur_from_prev)
-        if not block_observations.turns_only(off * pair.sigma, self._settings.epsilon_m):
+        pair = seen.pair[rows]
+        R, covariance, off = estimate.turn(pair, R)
+        if not block_observations.turns_only(off * pair.sigma, settings.epsilon_m):
             return None
-        self._memory = self._memory.turned(blank.stamp, R)
+        self._memory = self._memory.turned(whole.stamp, R)
         motion = CameraMotion(MotionStatus.ROTATION_ONLY, R, covariance=covariance)
-        blank = replace(blank, sigma=pair.sigma.astype(np.float32))
-        return self._without_baseline(blank, motion, off < self._settings.epsilon_f)
+        blank = replace(status.only(whole, rows), sigma=pair.sigma.astype(np.float32))
+        return self._without_baseline(blank, motion, off < settings.epsilon_f)
 
     def _without_baseline(self, blank: Extraction, motion: CameraMotion, still) -> Extraction:
         """Label blocks (N,) that stay where they were: what moves then moves itself.
@@ -163,19 +175,18 @@ class PlaneExtractor:
             others = [refined_from(pair, *start) for start in starts]
         return planar_ambiguity.unfolded(pair, planar_ambiguity.likeliest(pair, predicted, others))
 
-    def _first_motion(self, blank, pair) -> tuple[MotionFit, np.ndarray]:
+    def _first_motion(self, whole: Extraction, pair: two_view.Pair):
         """Estimate the motion without what was a mover, and what must be one by the ground.
 
-        Also returns the blocks (N,) bool that are left.
+        Also returns the blocks (N,) bool of the pair that are left.
         """
         memory = self._memory
-        follows = memory.stamp == blank.previous_stamp
-        held = possibly_dynamic.taken(memory.movers if follows else None,
-                                      blank.x_prev.astype(float))
+        follows = memory.stamp == whole.previous_stamp
+        held = possibly_dynamic.taken(memory.movers if follows else None, pair.x_prev)
         free = possibly_dynamic.without(held)
         fit = self._motion(pair[free])
         if follows and memory.ground.plane is not None:
-            prior = self._ground_prior(blank, fit, baseline.BaselineRatio())
+            prior = self._ground_prior(whole, fit, baseline.BaselineRatio())
             free = possibly_dynamic.without(held | self._below(pair, fit, prior))
             if np.mean(free) < MANY_MOVERS:
                 fit = refined_from(pair[free], fit.R_cur_from_prev, fit.t_cur_from_prev)
@@ -192,7 +203,7 @@ class PlaneExtractor:
                 free, road: np.ndarray) -> list[PlaneFit]:
         """Find the ground, then known planes, then new ones, among stationary blocks."""
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
-        free = free & _with_depth(evidence)
+        free = free & evidence.has_depth
         found = []
         floor = ground.find_ground(depths, free, prior, self._rules, self._draws, road)
         if floor is not None:
@@ -240,7 +251,7 @@ class PlaneExtractor:
         if rides:
             level, left = prior.normal, departure(
                 self._memory.past_at(blank, fit, ratio), blank,
-                depths_of(pair, blank, found.evidence, _with_depth(found.evidence)), floor)
+                depths_of(pair, blank, found.evidence, found.evidence.has_depth), floor)
         shown, self._movers = regions.with_moving_planes(
             shown, floor if rides else None, self._movers, self._settings.moving_score,
             level, left, lone, nearer, self._camera_height)
@@ -259,14 +270,13 @@ class PlaneExtractor:
                                              seen, 0.0)
         return replace(found, planes=planes, moving=shown, doubtful=unsure)
 
-    def _ratio(self, blank, pair, evidence, fit) -> baseline.BaselineRatio:
-        """Compare this pair's baseline with the last one's."""
+    def _ratio(self, blank, seen: BlockObservations, usable, fit) -> baseline.BaselineRatio:
+        """Compare this pair's baseline, by its usable blocks (N,) bool, with the last one's."""
         memory = self._memory
         if memory.depths is None or memory.stamp != blank.previous_stamp:
             return baseline.BaselineRatio()
-        now = baseline.from_previous(
-            (blank.width, blank.height), blank.x_prev, pair.rays_cur, evidence.rho,
-            _noise(pair, fit), _with_depth(evidence), fit.R_cur_from_prev, fit.t_cur_from_prev)
+        now = baseline.from_previous((blank.width, blank.height), seen, usable,
+                                     fit.R_cur_from_prev, fit.t_cur_from_prev)
         return baseline.baseline_ratio(memory.depths, now, memory.steady(blank))
 
     def _ground_prior(self, blank, fit: MotionFit, ratio) -> GroundPrior:
@@ -292,14 +302,15 @@ class PlaneExtractor:
     def _refined(self, pair, found: Found, prior: GroundPrior) -> Found:
         """Re-estimate motion and planes together, (10), and judge the blocks again."""
         settings, fit, planes = self._settings, found.fit, found.planes
-        index = np.full(len(pair), -1)
+        index = np.full(len(pair), joint.OFF_PLANES)
         for i, plane in enumerate(planes):
             index[plane.member] = i
         stationary = found.evidence.epipolar_inlier & ~found.evidence.backward
         stationary &= (found.moving.label != Label.MOVING) & ~found.doubtful
+        index[~stationary] = joint.LEFT_OUT
         R, t, values, covariance = joint.reestimate(
-            pair[stationary], fit.R_cur_from_prev, fit.t_cur_from_prev,
-            [plane.plane for plane in planes], index[stationary], settings.relief,
+            pair, (fit.R_cur_from_prev, fit.t_cur_from_prev),
+            [plane.plane for plane in planes], index, settings.relief,
             expected=[(i, *prior.upright(plane.plane)) for i, plane in enumerate(planes)
                       if plane.is_ground and plane.member.sum() < settings.min_macroblocks])
         fit = replace(fit, R_cur_from_prev=R, t_cur_from_prev=t, covariance=covariance[:6, :6])
@@ -310,9 +321,7 @@ class PlaneExtractor:
         mount, height = self._memory.ground.mount, self._memory.height
         planes = [plane for plane in planes if not plane.is_ground or (
             mount.holds(plane.plane) and height.allows(plane.plane))]
-        evidence = block_observations.evidence(pair, fit, settings.epsilon_f, settings.epsilon_m,
-                                     settings.relief)
-        return Found(fit, evidence, planes, found.moving, found.doubtful)
+        return Found(fit, self._observed(pair, fit), planes, found.moving, found.doubtful)
 
     def _finished(self, blank, pair, found: Found, noise, prior) -> Extraction:
         """Write labels and planes down and keep what the next pair needs."""
@@ -344,23 +353,12 @@ class PlaneExtractor:
         else:
             track = track.seen(floor.id, floor.plane, floor.covariance)
         evidence, size = found.evidence, (blank.width, blank.height)
-        still = _with_depth(evidence) & (found.moving.label != Label.MOVING) & ~found.doubtful
+        still = evidence.has_depth & (found.moving.label != Label.MOVING) & ~found.doubtful
         past = self._memory.past_at(blank, found.fit, baseline.BaselineRatio(
             blank.baseline_ratio, blank.baseline_ratio_sigma))
         self._memory = Memory(
             blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
-            baseline.depth_map(*size, blank.x_cur, evidence.rho, _noise(pair, found.fit),
-                            found.fit.t_cur_from_prev[2], _with_depth(evidence) & ~found.doubtful),
+            baseline.depth_map(*size, blank.x_cur, evidence.rho, evidence.far_sigma,
+                            found.fit.t_cur_from_prev[2], evidence.has_depth & ~found.doubtful),
             self._memory.planes, possibly_dynamic.painted(found.moving), self._memory.height,
             self._memory.grid, past.noted(blank.stamp, depths_of(pair, blank, evidence, still)))
-
-
-def _with_depth(evidence) -> np.ndarray:
-    """Return the mask of stationary blocks whose parallax makes a depth."""
-    return (evidence.epipolar_inlier & ~evidence.backward
-            & ~evidence.at_infinity & (evidence.rho > 0))
-
-
-def _noise(pair: two_view.Pair, fit: MotionFit) -> np.ndarray:
-    """Return the standard deviation (N,) of the inverse depth of points at infinity."""
-    return pair.sigma / epipolar.reach(pair.rays_cur, pair.focal, fit.t_cur_from_prev)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from mv_slapse.geometry import lattice
-from mv_slapse.motion import observations as block_observations
 from mv_slapse.motion.estimate import MotionFit
+from mv_slapse.motion.observations import BlockObservations
 from mv_slapse.records import Extraction, Label, PlaneObservation
 from mv_slapse.surfaces.plane_search import PlaneFit
 import numpy as np
@@ -18,7 +18,7 @@ class Found:
     """
 
     fit: MotionFit
-    evidence: block_observations.Evidence
+    evidence: BlockObservations
     planes: list[PlaneFit]
     moving: Extraction | None = None
     doubtful: np.ndarray | None = None

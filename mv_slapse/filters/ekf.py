@@ -6,6 +6,7 @@ noise Q and R, innovation z - h(mu).
 
 from collections.abc import Hashable
 
+from mv_slapse.kernels.binding import compiled
 import numpy as np
 from scipy.special import gammaincinv
 
@@ -92,6 +93,14 @@ def predict(state: State, mu: np.ndarray, F: np.ndarray, Q: np.ndarray):
     state.mu = mu
     state.P = _symmetric(F @ state.P @ F.T + Q)
     state.lasting = F @ state.lasting
+
+
+def predict_rows(state: State, rows: np.ndarray, F: np.ndarray, Q: np.ndarray):
+    """Move the covariance where the transition is the identity but for r rows (r,) int.
+
+    F (r, n) holds these rows of df/dmu, Q (r, r) their noise; the mean stays.
+    """
+    state.P, state.lasting = compiled.predict_rows(state.P, state.lasting, rows, F, Q)
 
 
 def update(state: State, innovation: np.ndarray, H: np.ndarray, R: np.ndarray):

@@ -5,6 +5,7 @@ Rays are K^-1 x with last coordinate 1. Inverse depths are in units of 1/|t|.
 """
 
 from mv_slapse.geometry.rotation import cross, skew
+from mv_slapse.kernels.binding import compiled
 import numpy as np
 
 
@@ -33,9 +34,8 @@ def epipolar_error(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev)
     error : (N,) array
         [px].
     """
-    c = cross(rays_cur, t_cur_from_prev)
-    line = c @ R_cur_from_prev
-    return np.einsum('ij,ij->i', rays_prev, line) / _line_norm(line, focal)
+    return compiled.epipolar_error(*map(_contiguous, (
+        rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev)))
 
 
 def epipolar_jacobian(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
@@ -60,6 +60,10 @@ def _line_norm(line, focal):
     return np.maximum(np.hypot(line[:, 0] / focal[0], line[:, 1] / focal[1]), 1e-12)
 
 
+def _contiguous(array) -> np.ndarray:
+    return np.ascontiguousarray(array, float)
+
+
 def derotate(rays_prev: np.ndarray, R_cur_from_prev: np.ndarray) -> np.ndarray:
     """Rays x'_prev ~ R x_prev (N, 3) as the current camera would see them untranslated, (6)."""
     y = rays_prev @ R_cur_from_prev.T
@@ -79,11 +83,8 @@ def inverse_depth(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
     per_pixel : (N,) array
         |d rho / d x_prev| along the line [1/|t|/px].
     """
-    y = derotate(rays_prev, R_cur_from_prev)[:, :2]
-    g = (t_cur_from_prev[:2] - y * t_cur_from_prev[2]) * focal
-    length = np.maximum(np.hypot(g[:, 0], g[:, 1]), 1e-9)
-    rho = np.einsum('ij,ij->i', (rays_cur[:, :2] - y) * focal, g) / length**2
-    return rho, np.abs(1 - rho * t_cur_from_prev[2]) / length
+    return compiled.inverse_depth(*map(_contiguous, (
+        rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev)))
 
 
 def inverse_depth_jacobian(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):

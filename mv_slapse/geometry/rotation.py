@@ -1,7 +1,7 @@
 """Rotations near the identity; everything else is scipy's ``Rotation``."""
 
+from mv_slapse.kernels.binding import compiled
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 
 def skew(v: np.ndarray) -> np.ndarray:
@@ -20,12 +20,12 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def exp(w: np.ndarray) -> np.ndarray:
     """Return the rotation matrix of a rotation vector (3,) [rad]."""
-    return Rotation.from_rotvec(w).as_matrix()
+    return compiled.rotation_exp(np.ascontiguousarray(w, float))
 
 
 def log(R: np.ndarray) -> np.ndarray:
     """Return the rotation vector (3,) [rad] of a rotation matrix."""
-    return Rotation.from_matrix(R).as_rotvec()
+    return compiled.rotation_log(np.ascontiguousarray(R, float))
 
 
 def angle(R: np.ndarray) -> float:

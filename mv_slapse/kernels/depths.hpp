@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "arrays.hpp"
+#include "lanes.hpp"
 #include "small.hpp"
 
 namespace kernels {
@@ -43,18 +44,6 @@ inline bool inverse(Mat3 A, Mat3& out) {
 
 inline double trace(const Mat3& A) { return A[0] + A[4] + A[8]; }
 
-// Four values that are counted side by side: sums have the same order on every processor.
-using Lanes = double __attribute__((vector_size(32)));
-constexpr int LANES = 4;
-
-inline Lanes load(const double* from) {
-  Lanes v;
-  std::memcpy(&v, from, sizeof v);
-  return v;
-}
-inline Lanes all(double x) { return Lanes{x, x, x, x}; }
-inline double sum(const Lanes& v) { return (v[0] + v[1]) + (v[2] + v[3]); }
-
 // Rays and inverse depths in standard deviations, by column: error = rays . plane + rho.
 // Columns end with LANES zeros, which may be read.
 struct Whitened {
@@ -63,7 +52,7 @@ struct Whitened {
 
   void resize(int size) {
     n = size;
-    for (auto* column : {&ray[0], &ray[1], &ray[2], &rho}) column->assign(size + LANES, 0.0);
+    for (auto* column : {&ray[0], &ray[1], &ray[2], &rho}) column->assign(static_cast<std::size_t>(size) + LANES, 0.0);
   }
   double error(int i, const Vec3& plane) const {
     return ray[0][i] * plane[0] + ray[1][i] * plane[1] + ray[2][i] * plane[2] + rho[i];

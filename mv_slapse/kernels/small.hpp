@@ -3,9 +3,11 @@
 
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <utility>
+#include <vector>
 
 namespace kernels {
 
@@ -173,6 +175,61 @@ inline void ldlt_solve(const double* A, int n, double* b) {
   for (int i = 0; i < n; ++i) b[i] /= A[i * n + i];
   for (int i = n - 1; i >= 0; --i)
     for (int k = i + 1; k < n; ++k) b[i] -= A[k * n + i] * b[k];
+}
+
+// Moore-Penrose inverse of a symmetric positive semidefinite matrix of n x n, in place: by the
+// Cholesky factor or, where that fails, by the eigenvectors of Jacobi rotations.
+inline void pseudo_inverse(double* A, int n) {
+  std::vector<double> L(A, A + n * n), column(n);
+  bool regular = cholesky(L.data(), n);
+  for (int k = 0; regular && k < n; ++k)  // of a pivot, rounding leaves 1e-15
+    regular = L[n * k + k] * L[n * k + k] > 1e-12 * A[n * k + k];
+  if (regular) {
+    for (int c = 0; c < n; ++c) {
+      std::fill(column.begin(), column.end(), 0.0);
+      column[c] = 1;
+      cholesky_solve(L.data(), n, column.data());
+      for (int r = 0; r < n; ++r) A[n * r + c] = column[r];
+    }
+    return;
+  }
+  std::vector<double> V(n * n, 0.0), inverse(n);
+  for (int k = 0; k < n; ++k) V[n * k + k] = 1;
+  for (int sweep = 0; sweep < 30; ++sweep) {  // ten are enough for double precision
+    double off = 0, on = 0;
+    for (int p = 0; p < n; ++p) {
+      on += A[n * p + p] * A[n * p + p];
+      for (int q = p + 1; q < n; ++q) off += A[n * p + q] * A[n * p + q];
+    }
+    if (!(off > 1e-32 * on)) break;
+    for (int p = 0; p < n; ++p)
+      for (int q = p + 1; q < n; ++q) {
+        if (A[n * p + q] == 0) continue;
+        const double theta = 0.5 * (A[n * q + q] - A[n * p + p]) / A[n * p + q];
+        const double t = (theta < 0 ? -1 : 1) / (std::abs(theta) + std::sqrt(theta * theta + 1));
+        const double c = 1 / std::sqrt(t * t + 1), s = t * c;
+        const auto turn = [c, s](double& a, double& b) {
+          const double old = a;
+          a = c * old - s * b;
+          b = s * old + c * b;
+        };
+        for (int k = 0; k < n; ++k) turn(A[n * k + p], A[n * k + q]);
+        for (int k = 0; k < n; ++k) turn(A[n * p + k], A[n * q + k]);
+        for (int k = 0; k < n; ++k) turn(V[n * k + p], V[n * k + q]);
+      }
+  }
+  double largest = 0;
+  for (int k = 0; k < n; ++k) largest = std::max(largest, std::abs(A[n * k + k]));
+  for (int k = 0; k < n; ++k) {
+    const double value = A[n * k + k];
+    inverse[k] = std::abs(value) > 1e-15 * largest ? 1 / value : 0;
+  }
+  for (int r = 0; r < n; ++r)
+    for (int c = 0; c < n; ++c) {
+      double total = 0;
+      for (int k = 0; k < n; ++k) total += V[n * r + k] * inverse[k] * V[n * c + k];
+      A[n * r + c] = total;
+    }
 }
 
 }  // namespace kernels

@@ -18,6 +18,9 @@
 namespace kernels {
 namespace {
 
+KERNELS_INLINE Four broadcast(double x) { return Four{} + x; }
+constexpr int STEP = static_cast<int>(LANES);
+
 struct Policy {
   double cut, max_excess, max_blur, roughness, density, vague, fading;  // of planes
   double least, cap, lean, dependence, reach, upright_gate, noise_least;  // of windows
@@ -77,20 +80,20 @@ FOR_EACH_PROCESSOR
 Equations equations_near(const Whitened& blocks, const double* x, const double* y, int first,
                          int last, const double* centre, double reach, const Vec3& plane,
                          double softness) {
-  Lanes A[6] = {}, b[3] = {};
-  const Lanes one = all(1), none = all(0), far = all(reach);
-  Lanes number = {0, 1, 2, 3};
-  for (int i = first; i < last; i += LANES) {
-    const Lanes r0 = load(&blocks.ray[0][i]), r1 = load(&blocks.ray[1][i]),
+  Four A[6] = {}, b[3] = {};
+  const Four one = broadcast(1), none = broadcast(0), far = broadcast(reach);
+  Four number = {0, 1, 2, 3};
+  for (int i = first; i < last; i += STEP) {
+    const Four r0 = load(&blocks.ray[0][i]), r1 = load(&blocks.ray[1][i]),
                 r2 = load(&blocks.ray[2][i]), rho = load(&blocks.rho[i]);
-    const Lanes dx = load(x + i) - centre[0], dy = load(y + i) - centre[1];
-    const Lanes error = r0 * plane[0] + r1 * plane[1] + r2 * plane[2] + rho;
-    const Lanes d = one + error * error * softness;
-    Lanes w = one / (d * d);
+    const Four dx = load(x + i) - centre[0], dy = load(y + i) - centre[1];
+    const Four error = r0 * plane[0] + r1 * plane[1] + r2 * plane[2] + rho;
+    const Four d = one + error * error * softness;
+    Four w = one / (d * d);
     const auto inside = (dx < far) & (dx > -far) & (dy < far) & (dy > -far) &
-                        (number < all(last - i));
+                        (number < broadcast(last - i));
     w = inside ? w : none;
-    const Lanes w0 = w * r0, w1 = w * r1, w2 = w * r2;
+    const Four w0 = w * r0, w1 = w * r1, w2 = w * r2;
     A[0] += w0 * r0, A[1] += w0 * r1, A[2] += w0 * r2;
     A[3] += w1 * r1, A[4] += w1 * r2, A[5] += w2 * r2;
     b[0] -= w0 * rho, b[1] -= w1 * rho, b[2] -= w2 * rho;
@@ -114,24 +117,24 @@ void squared_errors(const Whitened& blocks, const Vec3& plane, double* out) {
 // Sum of what gains have more than is taken already; both end with LANES zeros.
 FOR_EACH_PROCESSOR
 double sum_of_more(const double* gain, const double* taken, int n) {
-  Lanes total = all(0);
-  for (int i = 0; i < n; i += LANES) {
-    const Lanes more = load(gain + i) - load(taken + i);
-    total += more > all(0) ? more : all(0);
+  Four total = broadcast(0);
+  for (int i = 0; i < n; i += STEP) {
+    const Four more = load(gain + i) - load(taken + i);
+    total += more > broadcast(0) ? more : broadcast(0);
   }
   return sum(total);
 }
 
 // What each block adds to a plane's equations: A row by row from the diagonal on, b, nothing.
 struct Terms {
-  Lanes A0, A1b, b2;
+  Four A0, A1b, b2;
 };
 
 // Equations of some blocks, each weighted by its error on a plane; all alike where there is none.
 FOR_EACH_PROCESSOR
 Equations equations_of(const Whitened& blocks, const Terms* terms, const int* which, int n,
                        const Vec3* plane, double softness) {
-  Lanes A0 = all(0), A1b = all(0), b2 = all(0);
+  Four A0 = broadcast(0), A1b = broadcast(0), b2 = broadcast(0);
   for (int k = 0; k < n; ++k) {
     const int i = which[k];
     double weight = 1;
@@ -238,7 +241,7 @@ Search::Search(const Policy& is, const Vec3& up, const std::vector<int>& sharp,
       components_(cells_) {
   const int n = static_cast<int>(order_.size());
   blocks_.resize(n);
-  for (auto* column : {&x_, &y_, &squared_, &taken_}) column->assign(n + LANES, 0.0);
+  for (auto* column : {&x_, &y_, &squared_, &taken_}) column->assign(n + STEP, 0.0);
   for (int i = 0; i < n; ++i) {
     const int from = order_[i];
     for (int j = 0; j < 3; ++j) blocks_.ray[j][i] = rays[3 * from + j] / sigma[from];
@@ -250,9 +253,9 @@ Search::Search(const Policy& is, const Vec3& up, const std::vector<int>& sharp,
   for (int i = 0; i < n; ++i) {
     const double r0 = blocks_.ray[0][i], r1 = blocks_.ray[1][i], r2 = blocks_.ray[2][i];
     const double c = -blocks_.rho[i];
-    terms_[i].A0 = Lanes{r0 * r0, r0 * r1, r0 * r2, r1 * r1};
-    terms_[i].A1b = Lanes{r1 * r2, r2 * r2, r0 * c, r1 * c};
-    terms_[i].b2 = Lanes{r2 * c, 0, 0, 0};
+    terms_[i].A0 = Four{r0 * r0, r0 * r1, r0 * r2, r1 * r1};
+    terms_[i].A1b = Four{r1 * r2, r2 * r2, r0 * c, r1 * c};
+    terms_[i].b2 = Four{r2 * c, 0, 0, 0};
   }
   cell_begin_.assign(cells_.columns * cells_.rows + 1, 0);
   for (int i = 0; i < n; ++i) ++cell_begin_[cells_.column[i] * cells_.rows + cells_.row[i] + 1];
@@ -380,7 +383,7 @@ void Search::judge() {
 void Search::gain_of(const Vec3& plane, std::vector<double>& gain) {
   const double near = is_.cut * is_.cut;
   squared_errors(blocks_, plane, squared_.data());
-  gain.assign(blocks_.n + LANES, 0.0);
+  gain.assign(blocks_.n + STEP, 0.0);
   ++now_;
   for (int i = 0; i < blocks_.n; ++i) {
     const int w = best_[i];
@@ -702,15 +705,15 @@ void bind_surfaces(pybind11::module_& module) {
   // Squared Mahalanobis distance (K,) of planes from another one, and the means with it.
   module.def("compare_planes", [](const py::object& planes, const py::object& covariances,
                                   const py::object& plane, const py::object& covariance) {
-    const Planes all("compare_planes", planes, covariances);
+    const Planes each("compare_planes", planes, covariances);
     const Gaussian other{vector3("compare_planes", "plane", plane),
                          matrix3(In<double>("compare_planes", "covariance", covariance, {3, 3},
                                             Check::finite).data())};
-    const auto k = all.plane.size();
+    const auto k = each.plane.size();
     Out<double> off({k}), mean({k, 3}), less({k, 3, 3});
     for (py::ssize_t i = 0; i < k; ++i) {
-      off[i] = distance(all[i], other);
-      write(fused(all[i], other), i, mean, less);
+      off[i] = distance(each[i], other);
+      write(fused(each[i], other), i, mean, less);
     }
     return py::make_tuple(off.array(), mean.array(), less.array());
   });

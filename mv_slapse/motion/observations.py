@@ -1,8 +1,9 @@
-"""What each macroblock says of itself once the camera's motion is known, [MVO] 4.2."""
+"""What each block says of itself once the camera's motion is known, [MVO] 4.2."""
 
 from dataclasses import dataclass, fields
 
-from mv_slapse.geometry import epipolar, two_view
+from mv_slapse.geometry import two_view
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.estimate import MotionFit
 import numpy as np
 
@@ -11,49 +12,51 @@ TURNING_PARALLAX = 3.0  # of epsilon_m, in the median: beyond, the camera moves 
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """Constraints of Definition 1 of [MVO], as values and masks over the correspondences.
+class BlockObservations:
+    """The blocks of a pair under one motion, computed once and handed from step to step.
+
+    Constraints of Definition 1 of [MVO], as values and masks.
 
     Attributes
     ----------
+    pair : Pair
+        Rays, matches and their standard deviations.
     epipolar_error : (N,) array
         In standard deviations.
-    epipolar_inlier : (N,) bool array
-        (3).
     rho, sigma_rho, blur : (N,) arrays
         Inverse depth, its standard deviation, and the part of it that vectors make [1/baseline].
+    far_sigma : (N,) array
+        Standard deviation that rho would have at infinity, as seen from camera k-1 [1/baseline].
     parallax : (N,) array
         ||x'_prev - x_cur||, [px].
+    flow : (N, 2) array
+        x_cur - x'_prev, which is left of the vector without the camera's rotation, (6) [px].
+    epipolar_inlier : (N,) bool array
+        (3).
     at_infinity : (N,) bool array
         (7): too little parallax for a depth.
     backward : (N,) bool array
         The direction constraint fails: the block moves against the stationary flow.
+    has_depth : (N,) bool array
+        None of this: the parallax of what stands still before the camera.
     """
 
+    pair: two_view.Pair
     epipolar_error: np.ndarray
-    epipolar_inlier: np.ndarray
     rho: np.ndarray
     sigma_rho: np.ndarray
     blur: np.ndarray
+    far_sigma: np.ndarray
     parallax: np.ndarray
+    flow: np.ndarray
+    epipolar_inlier: np.ndarray
     at_infinity: np.ndarray
     backward: np.ndarray
+    has_depth: np.ndarray
 
-    def __getitem__(self, rows) -> 'Evidence':
-        """Return that of a mask or an index."""
-        return Evidence(*(getattr(self, item.name)[rows] for item in fields(self)))
-
-
-def before_camera(rays_cur, rays_prev, focal, R, t) -> np.ndarray:
-    """Return True where a block's motion puts it before the camera, (N,).
-
-    The vote of [MVO] 4.2 (alpha < 90 degrees for a camera that moves forward, >= 90 for one that
-    moves backward), cast on the sign of (t_xy - x'_prev t_z) . (x_cur - x'_prev): the epipole
-    e = t_xy / t_z is kept homogeneous, so that a camera moving sideways has a vote too.
-    """
-    y = epipolar.derotate(rays_prev, R)[:, :2]
-    outward = (t[:2] - y * t[2]) * focal
-    return np.einsum('ij,ij->i', outward, (rays_cur[:, :2] - y) * focal) > 0
+    def __getitem__(self, rows) -> 'BlockObservations':
+        """Return those of a mask or an index."""
+        return BlockObservations(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
 def orient(pair: two_view.Pair, R, t) -> tuple[np.ndarray, bool]:
@@ -68,22 +71,23 @@ def orient(pair: two_view.Pair, R, t) -> tuple[np.ndarray, bool]:
 
 
 def behind(pair: two_view.Pair, R, t) -> float:
-    """Return the share of the votes of `orient` that put a block behind the camera."""
-    vote = before_camera(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
-    length = np.linalg.norm(epipolar.parallax(pair.rays_cur, pair.rays_prev, pair.focal, R),
-                            axis=1)
-    weight = np.minimum(length / pair.sigma, 10.0)
-    return float(weight[~vote].sum() / max(weight.sum(), 1e-9))
+    """Return the share of the votes of `orient` that put a block behind the camera.
+
+    A vote of [MVO] 4.2 (alpha < 90 degrees for a camera that moves forward, >= 90 for one that
+    moves backward) is the sign of (t_xy - x'_prev t_z) . (x_cur - x'_prev): the epipole
+    e = t_xy / t_z is kept homogeneous, so that a camera moving sideways has a vote too.
+    """
+    return compiled.behind(*two_view.columns(pair, R, t))
 
 
-def may_turn(evidence: Evidence, epsilon_m: float) -> bool:
+def may_turn(parallax: np.ndarray, epsilon_m: float) -> bool:
     """Tell whether a pair shows so little parallax that the camera may have turned on the spot.
 
-    Some translation passes for a part of a turn: up to twice ``epsilon_m`` [px] of parallax, alike
-    everywhere, were measured.
+    That of the inliers counts, (N,) [px]. Some translation passes for a part of a turn: up to
+    twice ``epsilon_m`` [px], alike everywhere, were measured.
     """
-    parallax = evidence.parallax[evidence.epipolar_inlier]
-    return bool(np.median(parallax) < TURNING_PARALLAX * epsilon_m) if len(parallax) else False
+    # Half of them below the bound is what the median tells, without a sort.
+    return np.count_nonzero(parallax < TURNING_PARALLAX * epsilon_m) > len(parallax) / 2
 
 
 def turns_only(off: np.ndarray, epsilon_m: float) -> bool:
@@ -95,8 +99,8 @@ def turns_only(off: np.ndarray, epsilon_m: float) -> bool:
     return bool(np.mean(off > 2 * epsilon_m) < TURNING_SHARE)
 
 
-def evidence(pair: two_view.Pair, fit: MotionFit, epsilon_f: float, epsilon_m: float,
-             relief: float) -> Evidence:
+def observe(pair: two_view.Pair, fit: MotionFit, epsilon_f: float, epsilon_m: float,
+            relief: float) -> BlockObservations:
     """Judge each correspondence under a camera motion.
 
     Parameters
@@ -111,12 +115,6 @@ def evidence(pair: two_view.Pair, fit: MotionFit, epsilon_f: float, epsilon_m: f
     relief : float
         Depth of a surface about its plane, as a share of depth.
     """
-    R, t, focal = fit.R_cur_from_prev, fit.t_cur_from_prev, pair.focal
-    error = epipolar.epipolar_error(pair.rays_cur, pair.rays_prev, focal, R, t) / pair.sigma
-    rho, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, focal, R, t)
-    blur = per_pixel * pair.sigma
-    parallax = np.linalg.norm(epipolar.parallax(pair.rays_cur, pair.rays_prev, focal, R), axis=1)
-    inlier = np.abs(error) < epsilon_f
-    return Evidence(error, inlier, rho, np.hypot(blur, relief * rho), blur, parallax,
-                    inlier & (parallax < epsilon_m),
-                    inlier & (parallax >= epsilon_m) & (rho < -3 * blur))
+    return BlockObservations(pair, *compiled.observe_blocks(
+        *two_view.columns(pair, fit.R_cur_from_prev, fit.t_cur_from_prev),
+        np.array([epsilon_f, epsilon_m, relief])))

@@ -6,10 +6,11 @@ from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.motion import estimate
-from mv_slapse.motion.observations import Evidence
+from mv_slapse.motion.observations import BlockObservations
 from mv_slapse.records import Extraction
 import numpy as np
 
+STILL = 0.25  # px, by which a vector of what stands may be off
 PARTS = 4  # of the picture, along each side, that stand or move
 COLUMNS = ('x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')
 
@@ -52,27 +53,30 @@ def spread(mask: np.ndarray, rows: np.ndarray, n: int) -> np.ndarray:
     return whole
 
 
-def too_few(pair: two_view.Pair) -> str:
-    """Say why a pair cannot be used, or nothing."""
-    n, least = len(pair), estimate.MIN_CORRESPONDENCES
+def too_few(n: int) -> str:
+    """Say why a pair of n correspondences cannot be used, or nothing."""
+    least = estimate.MIN_CORRESPONDENCES
     return '' if n >= least else f'{n} motion vectors, at least {least} are needed'
 
 
-def disagreement(evidence: Evidence) -> str:
+def disagreement(seen: BlockObservations) -> str:
     """Say how little a motion explains."""
-    share = 100 * evidence.epipolar_inlier.mean()
+    share = 100 * seen.epipolar_inlier.mean()
     return (f'no camera motion explains more than {share:.0f} % of the motion vectors: '
             'the picture moves faster than the encoder searches, or movers fill it')
 
 
-def stands_still(pair: two_view.Pair, blank: Extraction, share: float) -> bool:
+def stands_still(pair: two_view.Pair, whole: Extraction, rows: np.ndarray, share: float) -> bool:
     """Tell whether so many vectors are zero, in so many parts of the picture, that it stands.
 
-    A bonnet that fills a third of the picture may have most of its vectors.
+    A bonnet that fills a third of the picture may have most of its vectors. ``pair`` has the
+    ``rows`` of the whole.
     """
-    moved = (pair.rays_cur[:, :2] - pair.rays_prev[:, :2]) * pair.focal
-    still = np.hypot(moved[:, 0], moved[:, 1]) < 0.25
-    part = np.floor(blank.x_cur * PARTS / (blank.width, blank.height)).clip(0, PARTS - 1)
+    moved = np.square((pair.rays_cur[:, :2] - pair.rays_prev[:, :2]) * pair.focal)
+    still = moved[:, 0] + moved[:, 1] < STILL**2
+    if np.count_nonzero(still) < share * len(still):
+        return False
+    part = np.floor(whole.x_cur[rows] * PARTS / (whole.width, whole.height)).clip(0, PARTS - 1)
     part = (PARTS * part[:, 1] + part[:, 0]).astype(int)
     n, n_still = np.bincount(part), np.bincount(part, still)
-    return np.mean(still) >= share and np.mean((n_still >= share * n)[n > 0]) >= share
+    return bool(np.mean((n_still >= share * n)[n > 0]) >= share)

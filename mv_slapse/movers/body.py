@@ -28,6 +28,7 @@ LEAST = 4.0  # log-likelihood in there that makes a body worth a closer look,
 FADED = 2.0  # at which it ends,
 CLEAR = 1.5  # and of each of its blocks: what lies beside a body is pulled along with it
 MANY = 6  # bodies of one pair that are looked at
+FINE = 2.0**20  # steps of a log-likelihood of 1 in which those of a window are summed
 HALF_NORMAL = 0.6745  # median of the absolute value of a standard normal
 
 
@@ -105,9 +106,12 @@ def bodies(blocks: Blocks, size: tuple[int, int]) -> list[np.ndarray]:
     gain = _gain(blocks, depths[:, None])
     number = lattice.paint(*size, blocks.x, blocks.block, np.arange(len(blocks.x)))
     cells = np.maximum(blocks.block.prod(axis=1) / CELL**2, 1.0)
-    shown = np.where(number >= 0, (gain / cells)[:, number], 0.0)
+    shown = np.where(number >= 0, np.rint(FINE * gain / cells)[:, number], 0.0)
     clear = (gain > CLEAR)[:, number] & (number >= 0)
-    total = WINDOW**2 * ndimage.uniform_filter(shown, (0, WINDOW, WINDOW), mode='constant')
+    # Sums of whole numbers are exact: windows around the same blocks are equal to the last bit,
+    # and the first of them is taken on every processor.
+    total = np.rint(WINDOW**2 * ndimage.uniform_filter(shown, (0, WINDOW, WINDOW),
+                                                       mode='constant')) / FINE
     square = np.ones((WINDOW, WINDOW), bool)
     found = []
     while len(found) < MANY and total.max() >= LEAST:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from mv_slapse.geometry.blocks import grid_index, grid_shape
 from mv_slapse.geometry.two_view import Pair
-from mv_slapse.motion.observations import Evidence
+from mv_slapse.motion.observations import BlockObservations
 from mv_slapse.records import Extraction
 from mv_slapse.surfaces.consensus import Depths
 import numpy as np
@@ -98,7 +98,7 @@ class Past:
         return np.where(np.isfinite(grid), grid, np.nan).ravel(), least.ravel()
 
 
-def depths_of(pair: Pair, extraction: Extraction, evidence: Evidence, known) -> Depths:
+def depths_of(pair: Pair, extraction: Extraction, evidence: BlockObservations, known) -> Depths:
     """Return what a pair's vectors alone tell of the depths of its blocks, 0 of those not known.
 
     ``known`` is (N,) bool.

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 import itertools
 
+from mv_slapse.blas import one_thread
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.geometry import epipolar
 from mv_slapse.geometry.camera import to_rays
@@ -55,6 +56,7 @@ class ObstacleTracker:
         self._next_id = OWN_IDS
         self._false_starts = 0.0
 
+    @one_thread
     def step(self, extraction: Extraction, scene: SceneEstimate,
              handovers: Sequence[PlaneHandover] = ()
              ) -> tuple[list[Obstacle], list[PlaneHandover]]:

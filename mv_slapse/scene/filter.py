@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
+from mv_slapse.blas import one_thread
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import rotation, two_view
 from mv_slapse.records import (
@@ -23,7 +23,7 @@ from mv_slapse.scene import record as scene_record
 from mv_slapse.scene import state as scene_state
 from mv_slapse.scene import update as scene_update
 from mv_slapse.scene.noise import Agreement, Dependence
-from mv_slapse.scene.observations import Observe
+from mv_slapse.scene.observations import Observation
 from mv_slapse.scene.progress import Progress
 from mv_slapse.scene.scale import ratio as scene_ratio
 from mv_slapse.scene.scale import rest as scene_rest
@@ -71,6 +71,7 @@ class SceneFilter:
         self._dependence = Dependence(settings.dependence)
         self._speeds = SpeedLog()
 
+    @one_thread
     def step(self, extraction: Extraction, handovers: Sequence[PlaneHandover] = (),
              speeds: Sequence[Speed] = ()):
         """Take in one key frame pair.
@@ -212,8 +213,7 @@ class SceneFilter:
         self._sway(dt)
         if self._is_tied:
             # Where nothing else carries the scale the planes do, and stay as they are.
-            for id in state.planes:
-                scene_state.renew(state, id, settings.relief)
+            scene_state.renew(state, settings.relief)
         ground = self._map.ground
         if ground in state.planes:
             # The road bends below the vehicle, so about its place; a vehicle's camera rides some
@@ -232,8 +232,7 @@ class SceneFilter:
         observations = self._rigid(ground) if ground in self._state.planes else []
         observations += [scene_speed.observed(way, self._settings)] if way else []
         if observations and self._state.velocity.any():
-            self._state = scene_update.observe(self._state, observations,
-                                               self._settings.iterations)
+            self._state = scene_update.observe(self._state, observations, self._settings)
 
     def _way(self, start: int, turn: float) -> Way | None:
         """Return the way [m] since a stamp by the speeds given, if they tell one that can be."""
@@ -360,7 +359,8 @@ class SceneFilter:
                                                  motion.t_cur_from_prev)
         return replace(self._settings, dependence=self._dependence.value)
 
-    def _gauge(self, baseline: float, first: bool, way: Way | None, told: bool) -> list[Observe]:
+    def _gauge(self, baseline: float, first: bool, way: Way | None,
+               told: bool) -> list[Observation]:
         """Return the length of the first baseline, which is the unit, or the guess after a rest.
 
         Or of any by its speed. Where nothing has told one it stays about as predicted: directions
@@ -377,9 +377,9 @@ class SceneFilter:
             return []
         else:
             sigma = UNTOLD_SIGMA
-        return [partial(scene_observations.baseline, length=baseline, sigma=sigma)]
+        return [scene_observations.baseline(baseline, sigma)]
 
-    def _rigid(self, ground: int | None) -> list[Observe]:
+    def _rigid(self, ground: int | None) -> list[Observation]:
         """Return what is known of a mounted camera."""
         return [] if ground is None else self._ride.observations(ground, self._settings)
 

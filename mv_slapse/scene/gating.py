@@ -1,16 +1,9 @@
 """Which planes of the map a new extraction may correct."""
 
 from mv_slapse.config import SceneSettings
-from mv_slapse.filters import ekf
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Extraction, Label, PlaneObservation
-from mv_slapse.scene.state import (
-    log_baseline,
-    plane_in_camera,
-    plane_in_camera_jacobian,
-    relative_motion,
-    relative_motion_jacobian,
-    SceneState,
-)
+from mv_slapse.scene.state import log_baseline, SceneState
 import numpy as np
 
 RATIO_GATE = 10.8  # 99.9 % of chi-square with one degree of freedom
@@ -30,8 +23,10 @@ def ground_plane(extraction: Extraction) -> np.ndarray | None:
 def distances(state: SceneState, extraction: Extraction,
               settings: SceneSettings) -> dict[int, float]:
     """Return the squared distance of each known plane from the predicted state, by its id."""
-    return {plane.id: squared_distance(state, plane, settings) for plane in extraction.planes
-            if plane.label == Label.STATIONARY and plane.id in state.planes}
+    seen = [plane for plane in extraction.planes
+            if plane.label == Label.STATIONARY and plane.id in state.planes]
+    found = squared_distances(state, seen, settings)
+    return dict(zip([plane.id for plane in seen], found.tolist(), strict=True))
 
 
 def holds_length(state: SceneState, length: float, sigma: float) -> bool:
@@ -44,25 +39,17 @@ def holds_length(state: SceneState, length: float, sigma: float) -> bool:
     return bool((value - np.log(length))**2 < RATIO_GATE * variance)
 
 
-def squared_distance(state: SceneState, plane: PlaneObservation,
-                     settings: SceneSettings) -> float:
-    """Squared Mahalanobis distance between a plane seen and the map's, in baseline units.
+def squared_distances(state: SceneState, seen: list[PlaneObservation],
+                      settings: SceneSettings) -> np.ndarray:
+    """Squared Mahalanobis distances (K,) between planes seen and the map's, in baselines.
 
     The observation is plane_in_camera * |t|: two views know a plane only up to their baseline.
+    Infinite where there is no baseline.
     """
-    in_camera = plane_in_camera(state, plane.id)
-    by_pose, by_plane = plane_in_camera_jacobian(state, plane.id)
-    _, t = relative_motion(state)
-    length = np.linalg.norm(t)
-    if length < 1e-9:
-        return np.inf
-    by_previous, by_current = relative_motion_jacobian(state)
-    H = np.zeros((3, state.size))
-    H[:, state.at(plane.id)] = by_plane * length
-    direction = np.outer(in_camera, t / length)
-    H[:, state.at('previous')] = direction @ by_previous[3:]
-    H[:, state.at('current')] = by_pose * length + direction @ by_current[3:]
-    biased = settings.depth_bias * plane.plane
-    S = H @ state.P @ H.T + plane.covariance * settings.depth_dependence + np.outer(biased, biased)
-    innovation = plane.plane - in_camera * length
-    return ekf.squared_distance(innovation, S)
+    shown = np.array([plane.plane for plane in seen]).reshape(-1, 3)
+    biased = settings.depth_bias * shown
+    noise = settings.depth_dependence * np.array([plane.covariance for plane in seen]).reshape(
+        -1, 3, 3) + biased[:, :, None] * biased[:, None]
+    return compiled.scene_distances(*state.arrays, state.error.P,
+                                    state.positions([plane.id for plane in seen]), shown,
+                                    noise.reshape(-1, 9))

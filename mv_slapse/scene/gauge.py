@@ -7,6 +7,7 @@ turns and shifts all of it, for good: pairs relate cameras to each other, not to
 """
 
 from mv_slapse.geometry import rotation
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.scene.state import Gauge, SceneState
 import numpy as np
 from scipy.linalg import block_diag
@@ -18,7 +19,8 @@ LINEAR = 0.2  # rad: beyond, a sine departs from its angle by 1 %
 def is_vague(state: SceneState) -> bool:
     """Tell whether the heading is too uncertain to be linear."""
     cur = state.at('current').start
-    return bool(np.linalg.eigvalsh(state.P[cur:cur + 3, cur:cur + 3])[-1] > LINEAR**2)
+    values, _ = compiled.eigen_symmetric(np.ascontiguousarray(state.P[cur:cur + 3, cur:cur + 3]))
+    return bool(values[-1] > LINEAR**2)
 
 
 def begin_anew(state: SceneState, is_metric: bool):

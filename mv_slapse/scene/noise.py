@@ -4,15 +4,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from mv_slapse.config import SceneSettings
-from mv_slapse.geometry import epipolar, two_view
-from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry import two_view
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Extraction
 from mv_slapse.scene import gating as scene_gate
 from mv_slapse.scene.state import log_baseline, SceneState
 import numpy as np
-from scipy import ndimage
 
-REACH = 5  # macroblocks across the window in which errors are compared
 WIDTH = 3.0  # of the kernel, as in the update
 LEAST = 50  # correspondences whose errors can tell
 SLOW = 0.1  # weight of the newest pair in the running mean: some 10 pairs
@@ -107,15 +105,5 @@ def measured(pair: two_view.Pair, R, t) -> float:
     Errors are those across epipolar lines, which no plane has to explain. Each is weighed as the
     update weighs it; products with all errors in the window around add up to the variance.
     """
-    error = epipolar.epipolar_error(pair.rays_cur, pair.rays_prev, pair.focal, R, t) / pair.sigma
-    bounded = 1 / (1 + np.square(error / WIDTH))
-    weight = np.square(bounded)
-    influence = weight * error
-    slope = weight - 4 * np.square(error / WIDTH) * bounded**3
-    cell = np.floor(pair.x_prev / MACROBLOCK).astype(int)
-    cell -= cell.min(axis=0)
-    total = np.zeros(cell.max(axis=0) + 1)
-    np.add.at(total, tuple(cell.T), influence)
-    around = ndimage.uniform_filter(total, REACH, mode='constant') * REACH**2
-    variance = np.sum(total * around) / len(error)
-    return float(variance * weight.mean() / max(slope.mean(), 0.1) ** 2)
+    return compiled.error_dependence(pair.rays_cur, pair.rays_prev, pair.sigma, pair.x_prev,
+                                     pair.focal, R, t, WIDTH)

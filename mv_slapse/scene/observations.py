@@ -1,21 +1,20 @@
 """What the scene filter observes beside correspondences: lengths, mounting, course.
 
-Each function takes a state and returns an Observation of it, linearised there.
+Each is told by a record; the kernel ``scene_update`` linearises it where the state is, again at
+each step.
 """
 
-from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import NamedTuple
 
 from mv_slapse.config import SceneSettings
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.scene.state import (
     HEIGHT,
-    log_baseline,
     N_LASTING,
     plane_in_camera,
     plane_in_camera_jacobian,
-    relative_motion,
-    relative_motion_jacobian,
     SceneState,
     SPEED,
 )
@@ -24,35 +23,80 @@ import numpy as np
 PAIR_HEIGHT = 1e-3  # share of the height by which a pair errs besides: crown and ruts
 
 
-class Observation(NamedTuple):
-    """Innovation z - h (m,), derivative H of h (m, n) by the error state, noise (m, m).
+class Kind(IntEnum):
+    """What is observed, as in kernels/scene.hpp."""
 
-    ``lasting`` (m, N_LASTING) is what one standard deviation of each lasting error does to z.
+    CAMERA_HEIGHT = 0
+    MOUNTING = 1
+    LEVEL_COURSE = 2
+    BASELINE = 3
+    DEPTH_RATIO = 4
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One direct observation of a scene's state.
+
+    Attributes
+    ----------
+    kind : Kind
+    sigma : float
+        Standard deviation of each of its elements.
+    value : float
+        Height or length that is observed, where there is one [map unit].
+    plane : int or None
+        Id of the plane that it is about.
+    lasting : (N_LASTING,) array
+        What one standard deviation of each lasting error does to it.
+    depths : (18,) array
+        Of a DEPTH_RATIO: R and t of the pair's own motion, and the slope of its depths, see
+        scale.ratio.Depths.
     """
+
+    kind: Kind
+    sigma: float
+    value: float = 0.0
+    plane: int | None = None
+    lasting: np.ndarray = field(default_factory=lambda: np.zeros(N_LASTING))
+    depths: np.ndarray = field(default_factory=lambda: np.zeros(18))
+
+    def row(self, state: SceneState) -> np.ndarray:
+        """Return it (30,) as the kernels take it; the plane by its position in the state."""
+        place = -1 if self.plane is None else list(state.planes).index(self.plane)
+        return np.concatenate([(self.kind, place, self.value, self.sigma), self.lasting,
+                               self.depths])
+
+
+class Linearised(NamedTuple):
+    """Innovation z - h (m,) and derivative H of h (m, n) by the error state."""
 
     innovation: np.ndarray
     H: np.ndarray
-    noise: np.ndarray
-    lasting: np.ndarray | None = None
 
 
-Observe = Callable[[SceneState], Observation]
+def rows(observations: list[Observation], state: SceneState) -> np.ndarray:
+    """Return observations (K, 30) as the kernels take them."""
+    return np.array([one.row(state) for one in observations]).reshape(-1, 30)
 
 
-def mounted(ground: int, settings: SceneSettings, lasting: np.ndarray) -> list[Observe]:
+def linearised(observation: Observation, state: SceneState) -> Linearised:
+    """Return what an observation says at a state."""
+    return Linearised(*compiled.scene_observe(*state.arrays, rows([observation], state)))
+
+
+def mounted(ground: int, settings: SceneSettings, lasting: np.ndarray) -> list[Observation]:
     """Return what is known of a camera that is mounted on a ground vehicle.
 
     ``ground`` is the plane it drives on, ``lasting`` (N_LASTING,) what errors that last do to its
     height, as shares of it.
     """
     height = settings.camera_height
-    return [partial(camera_height, ground=ground, height=height, sigma=PAIR_HEIGHT * height,
-                    lasting=lasting * height),
-            partial(mounting, ground=ground, sigma=settings.mounting_sigma),
-            partial(level_course, sigma=settings.course_sigma)]
+    return [camera_height(ground, height, PAIR_HEIGHT * height, lasting * height),
+            Observation(Kind.MOUNTING, settings.mounting_sigma, plane=ground),
+            Observation(Kind.LEVEL_COURSE, settings.course_sigma)]
 
 
-def camera_height(state: SceneState, ground: int, height: float, sigma: float,
+def camera_height(ground: int, height: float, sigma: float,
                   lasting: np.ndarray | float = 0.0) -> Observation:
     """Observe the camera's height [m] above the ground plane, which sets the scale.
 
@@ -60,19 +104,15 @@ def camera_height(state: SceneState, ground: int, height: float, sigma: float,
 
     Parameters
     ----------
-    state, ground : SceneState, int
+    ground : int
     height, sigma : float
         The mean height and the error of one pair [m].
     lasting : (N_LASTING,) array or float
         What each lasting error does to the height [m]; a float: what of it is wrong for good.
     """
-    depth, relative = height_above(state, ground)
-    H = depth * relative[None]
-    H[0, state.at('heave')] = -height
-    error = np.zeros((1, N_LASTING))
-    error[0, slice(None) if np.ndim(lasting) else HEIGHT] = lasting
-    innovation = np.array([height * (1 + state.heave) - depth])
-    return Observation(innovation, H, np.eye(1) * sigma**2, error)
+    error = np.zeros(N_LASTING)
+    error[slice(None) if np.ndim(lasting) else HEIGHT] = lasting
+    return Observation(Kind.CAMERA_HEIGHT, sigma, height, ground, error)
 
 
 def height_above(state: SceneState, ground: int) -> tuple[float, np.ndarray]:
@@ -84,42 +124,12 @@ def height_above(state: SceneState, ground: int) -> tuple[float, np.ndarray]:
     return float(1 / np.linalg.norm(plane)), H
 
 
-def mounting(state: SceneState, ground: int, sigma: float) -> Observation:
-    """Observe the rigid mounting: the ground's normal in the camera stays as it is [rad]."""
-    plane = plane_in_camera(state, ground)
-    by_pose, by_plane = plane_in_camera_jacobian(state, ground)
-    length = np.linalg.norm(plane)
-    normal = plane / length
-    by_camera_plane = (np.eye(3) - np.outer(normal, normal)) / length
-    H = np.zeros((3, state.size))
-    H[:, state.at('current')] = by_camera_plane @ by_pose
-    H[:, state.at(ground)] = by_camera_plane @ by_plane
-    H[:, state.at('mount')] = -np.eye(3)
-    return Observation(state.mount - normal, H, np.eye(3) * sigma**2)
-
-
-def baseline(state: SceneState, length: float, sigma: float,
-             lasting: float = 0.0) -> Observation:
+def baseline(length: float, sigma: float, lasting: float = 0.0) -> Observation:
     """Observe the distance between the two poses [map unit] but for sigma, a share of it.
 
     Where the scale is free the first one is the gauge: 1. ``lasting`` is the share by which a
     speed that tells it is wrong for good.
     """
-    value, H = log_baseline(state)
-    error = np.zeros((1, N_LASTING))
-    error[0, SPEED] = lasting
-    return Observation(np.array([np.log(length) - value]), H[None], np.eye(1) * sigma**2, error)
-
-
-def level_course(state: SceneState, sigma: float) -> Observation:
-    """Observe that a vehicle's course lies in the ground: mount . t = 0 but for sigma [rad]."""
-    R, t = relative_motion(state)
-    length = np.linalg.norm(t)
-    by_previous, by_current = relative_motion_jacobian(state)
-    direction = t / length
-    by_t = (state.mount - (state.mount @ direction) * direction) / length
-    H = np.zeros((1, state.size))
-    H[0, state.at('previous')] = by_t @ by_previous[3:]
-    H[0, state.at('current')] = by_t @ by_current[3:]
-    H[0, state.at('mount')] = direction
-    return Observation(np.array([-state.mount @ direction]), H, np.eye(1) * sigma**2)
+    error = np.zeros(N_LASTING)
+    error[SPEED] = lasting
+    return Observation(Kind.BASELINE, sigma, length, lasting=error)

@@ -3,10 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
-from mv_slapse.geometry import plane as plane_geometry
-from mv_slapse.geometry import rotation
-from mv_slapse.geometry.camera import to_rays
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Extraction, Label, MapPlane, PlaneHandover
 from mv_slapse.scene import gauge as scene_gauge
 from mv_slapse.scene.state import AnchoredPlane, Pose, SceneState
@@ -60,7 +57,7 @@ class SceneMap:
             self.remove(id)
             return
         self._sightings[id] = replace(self._sightings[id], n_macroblocks=0)
-        self._left[id] = self._map_plane(state, id)
+        self._left[id] = self._map_planes(state)[id]
         if len(self._left) > MOST_LEFT:
             oldest = min(self._left, key=lambda id: self._left[id].last_stamp)
             del self._left[oldest]
@@ -166,28 +163,31 @@ class SceneMap:
             old = self._sightings.get(id, Sighting(extraction.stamp, extraction.stamp))
             self._seen[id] = extraction.stamp - self._waited
             self._left.pop(id, None)
-            points = _points(state, id, extraction)
             self._sightings[id] = Sighting(
                 old.first_stamp, extraction.stamp, old.n_observations + 1, plane.n_macroblocks,
-                _outline(state, id, old.outline, points), plane.is_ground)
+                _outline(state, id, old.outline, extraction), plane.is_ground)
 
     def planes(self, state: SceneState) -> tuple[MapPlane, ...]:
         """Return all planes in {W}: those that the filter holds, then those that it gave up."""
-        held = tuple(self._map_plane(state, id) for id in sorted(state.planes))
-        return held + tuple(self._left.values())
+        held = self._map_planes(state)
+        return (*(held[id] for id in sorted(held)), *self._left.values())
 
-    def _map_plane(self, state: SceneState, id: int) -> MapPlane:
-        """Write a plane down in {W}."""
-        anchored, sighting = state.planes[id], self._sightings[id]
-        normal, depth = plane_geometry.to_normal_depth(anchored.plane)
-        J = plane_geometry.normal_depth_jacobian(anchored.plane)
-        # n X + d = 0 about the anchor is n X + (d - n anchor) = 0 in {W}.
-        J[3] -= anchored.anchor @ J[:3]
-        covariance = J @ scene_gauge.covariance(state, id) @ J.T
+    def _map_planes(self, state: SceneState) -> dict[int, MapPlane]:
+        """Write the planes that the filter holds down in {W}, by their ids."""
+        _, planes, anchors = state.arrays
+        normals, depths, covariances = compiled.planes_in_world(
+            planes, anchors, state.error.P, state.error.lasting, state.gauge.place,
+            state.gauge.covariance)
+        return {id: self._map_plane(id, normals[k], float(depths[k]), covariances[k])
+                for k, id in enumerate(state.planes)}
+
+    def _map_plane(self, id: int, normal: np.ndarray, depth: float, covariance: np.ndarray):
+        """Return the record of a plane in {W}."""
+        sighting = self._sightings[id]
         outline = np.zeros((0, 3)) if sighting.outline is None else sighting.outline
-        return MapPlane(id, normal, depth - normal @ anchored.anchor, covariance, outline,
-                        sighting.first_stamp, sighting.last_stamp, sighting.n_observations,
-                        sighting.n_macroblocks, sighting.is_ground)
+        return MapPlane(id, normal, depth, covariance, outline, sighting.first_stamp,
+                        sighting.last_stamp, sighting.n_observations, sighting.n_macroblocks,
+                        sighting.is_ground)
 
     def handover(self, state: SceneState, id: int, stamp: int) -> PlaneHandover:
         """Write a plane down for the obstacle tracker; it starts at rest."""
@@ -201,28 +201,10 @@ class SceneMap:
         return PlaneHandover(stamp, id, Label.MOVING, plane, np.zeros(3), covariance)
 
 
-def _points(state: SceneState, id: int, extraction: Extraction) -> np.ndarray:
-    """Return the points (M, 3) in {W} where the rays of a plane's macroblocks meet it."""
+def _outline(state: SceneState, id: int, old: np.ndarray | None, extraction: Extraction):
+    """Return the convex hull (M, 3) in {W} of a plane's macroblocks and an older outline."""
     anchored, pose = state.planes[id], state.current
-    rays = to_rays(extraction.K, extraction.x_cur[extraction.plane_id == id].astype(float))
-    toward = rays @ pose.R.T
-    offset = pose.t - anchored.anchor
-    reach = -(1 + anchored.plane @ offset) / (toward @ anchored.plane)
-    farthest = FARTHEST * abs(1 + anchored.plane @ offset) / np.linalg.norm(anchored.plane)
-    good = (reach > 0) & (reach < farthest)
-    return pose.t + reach[good, None] * toward[good]
-
-
-def _outline(state: SceneState, id: int, old, points: np.ndarray):
-    """Return the convex hull (M, 3) in {W} of points and an older outline, on the plane."""
-    if old is not None:
-        points = np.vstack([old, points])
-    if len(points) < 3:
-        return old
-    anchored = state.planes[id]
-    normal, depth = plane_geometry.to_normal_depth(anchored.plane)
-    basis = rotation.tangent_basis(normal)
-    origin = anchored.anchor - depth * normal
-    flat = ((points - origin) @ basis).astype(np.float32)
-    hull = cv2.convexHull(flat)[:, 0].astype(float)
-    return origin + hull @ basis.T
+    return compiled.plane_outline(
+        extraction.x_cur, extraction.plane_id, id, extraction.K,
+        np.concatenate([pose.R.ravel(), pose.t]), np.array([anchored.plane, anchored.anchor]),
+        np.zeros((0, 3)) if old is None else old, FARTHEST)

@@ -12,11 +12,13 @@ from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation
 import numpy as np
 
-CAMERA_BLOCKS = ('previous', 'current', 'velocity', 'omega')
 # Errors that are not estimated: turn by which all vectors err, place in their blocks that they
 # tell of, camera height, speed that is given, focal length.
 TURN, PLACE, HEIGHT, SPEED, FOCAL = slice(0, 3), slice(3, 5), slice(5, 6), slice(6, 7), 7
 N_LASTING = FOCAL + 1
+# Where the blocks of the camera begin in the error state; they are the first and stay.
+CUR, VEL, OM, CAMERA = 6, 12, 15, 18
+THETA, PLACE_NOW = slice(CUR, CUR + 3), slice(CUR + 3, VEL)
 
 
 @dataclass
@@ -81,6 +83,23 @@ class SceneState:
     def P(self) -> np.ndarray:
         """Return the covariance of the error state."""
         return self.error.P
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the values as the kernels take them: camera (29,), planes, anchors (P, 3).
+
+        The camera's: R and t of the previous and of the current pose, mount, depth_scale, heave.
+        """
+        camera = np.concatenate([
+            self.previous.R.ravel(), self.previous.t, self.current.R.ravel(), self.current.t,
+            self.mount, (self.depth_scale, self.heave)])
+        values = np.array([(p.plane, p.anchor) for p in self.planes.values()]).reshape(-1, 2, 3)
+        return camera, values[:, 0].copy(), values[:, 1].copy()
+
+    def positions(self, ids) -> np.ndarray:
+        """Return where planes stand in ``arrays``, (len(ids),) int64."""
+        place = {id: k for k, id in enumerate(self.planes)}
+        return np.array([place[id] for id in ids], np.int64)
 
     def at(self, name) -> slice:
         """Return where a block lies in the error state."""
@@ -148,21 +167,18 @@ def propagate(state: SceneState, dt: float, acceleration: float, angular_acceler
     rate = 0.5 * (angular_acceleration / turn_rate)**2
     left, reach = np.exp(-rate * dt), -np.expm1(-rate * dt) / rate if rate else dt
     turn = rotation.exp(state.omega * reach)
-    F = np.eye(state.size)
-    prev, cur, vel, om = (state.at(name) for name in CAMERA_BLOCKS)
-    theta, place = slice(cur.start, cur.start + 3), slice(cur.start + 3, cur.stop)
-    F[prev] = 0
-    F[prev, cur] = np.eye(6)
-    F[theta, theta] = turn.T
-    F[theta, om], F[om, om] = reach * np.eye(3), left * np.eye(3)
-    F[place, vel] = dt * np.eye(3)
-    Q = np.zeros_like(F)
-    _integrated_noise(Q, place, vel, acceleration, (dt**3 / 3, dt**2 / 2, dt))
-    _integrated_noise(Q, theta, om, angular_acceleration, _forgetful(dt, rate))
+    F = np.zeros((CAMERA, state.size))
+    F[:CUR, CUR:VEL] = np.eye(6)
+    F[THETA, THETA], F[PLACE_NOW, PLACE_NOW], F[VEL:OM, VEL:OM] = turn.T, np.eye(3), np.eye(3)
+    F[THETA, OM:CAMERA], F[OM:, OM:CAMERA] = reach * np.eye(3), left * np.eye(3)
+    F[PLACE_NOW, VEL:OM] = dt * np.eye(3)
+    Q = np.zeros((CAMERA, CAMERA))
+    _integrated_noise(Q, PLACE_NOW, slice(VEL, OM), acceleration, (dt**3 / 3, dt**2 / 2, dt))
+    _integrated_noise(Q, THETA, slice(OM, CAMERA), angular_acceleration, _forgetful(dt, rate))
     state.previous = state.current.copy()
     state.current = Pose(state.current.R @ turn, state.current.t + state.velocity * dt)
     state.omega = left * state.omega
-    ekf.predict(state.error, state.error.mu, F, Q)
+    ekf.predict_rows(state.error, np.arange(CAMERA), F, Q)
 
 
 def _integrated_noise(Q, value: slice, rate: slice, density: float, moments):
@@ -220,18 +236,14 @@ def turn_on_the_spot(state: SceneState, R_cur_from_prev: np.ndarray, covariance:
 
     ``focal_sigma`` is the standard deviation of the focal length, as a share.
     """
-    prev, cur = state.at('previous'), state.at('current')
-    F = np.eye(state.size)
-    F[prev], F[cur, cur] = 0, np.eye(6)
-    F[prev, cur] = np.eye(6)
-    F[cur.start:cur.start + 3, cur.start:cur.start + 3] = R_cur_from_prev
-    Q = np.zeros_like(F)
-    Q[cur.start:cur.start + 3, cur.start:cur.start + 3] = covariance
-    Q[cur.start + 3:cur.stop, cur.start + 3:cur.stop] = np.eye(3) * sigma**2
+    F, Q = np.zeros((VEL, state.size)), np.zeros((VEL, VEL))
+    F[:CUR, CUR:VEL] = F[CUR:, CUR:VEL] = np.eye(6)
+    F[THETA, THETA], Q[THETA, THETA] = R_cur_from_prev, covariance
+    Q[PLACE_NOW, PLACE_NOW] = np.eye(3) * sigma**2
     state.previous = state.current.copy()
     state.current = Pose(state.current.R @ R_cur_from_prev.T, state.current.t.copy())
-    ekf.predict(state.error, state.error.mu, F, Q)
-    state.error.lasting[cur.start:cur.start + 3, FOCAL] -= focal_sigma * stretched(
+    ekf.predict_rows(state.error, np.arange(VEL), F, Q)
+    state.error.lasting[THETA, FOCAL] -= focal_sigma * stretched(
         rotation.log(R_cur_from_prev))
 
 
@@ -253,12 +265,12 @@ def plane_in_camera_jacobian(state: SceneState, id: int):
 
 def sway(state: SceneState, dt: float, sigma: float, time: float):
     """Let the heave settle for dt [s]: a share sigma of the height that lasts for ``time`` [s]."""
-    at = state.at('heave')
+    at = state.at('heave').start
     left = np.exp(-dt / time) if time else 0.0
-    F, Q = np.eye(state.size), np.zeros((state.size, state.size))
-    F[at, at], Q[at, at] = left, sigma**2 * (1 - left**2)
+    F = np.zeros((1, state.size))
+    F[0, at] = left
     state.heave *= left
-    ekf.predict(state.error, state.error.mu, F, Q)
+    ekf.predict_rows(state.error, np.array([at]), F, np.eye(1) * sigma**2 * (1 - left**2))
 
 
 def relative_motion(state: SceneState):
@@ -279,19 +291,6 @@ def relative_motion_jacobian(state: SceneState):
     by_current[:3, :3], by_current[3:, 3:] = -np.eye(3), -state.current.R.T
     by_current[3:, :3] = rotation.skew(t_cp)
     return by_previous, by_current
-
-
-def observation_jacobian(state: SceneState, ids: list[int]) -> np.ndarray:
-    """Return the derivative (6 + 3 P, n) of (w, t, planes in the camera) by the error state.
-
-    Chains the normal equations of geometry.two_view to the state, (19) of [SLAPSE].
-    """
-    G = np.zeros((6 + 3 * len(ids), state.size))
-    G[:6, state.at('previous')], G[:6, state.at('current')] = relative_motion_jacobian(state)
-    for i, id in enumerate(ids):
-        row = slice(6 + 3 * i, 9 + 3 * i)
-        G[row, state.at('current')], G[row, state.at(id)] = plane_in_camera_jacobian(state, id)
-    return G
 
 
 def scale_lengths(state: SceneState, factor: float):
@@ -341,24 +340,26 @@ def move_anchor(state: SceneState, id: int, anchor: np.ndarray):
     old = state.planes[id]
     offset = anchor - old.anchor
     scale = 1 + old.plane @ offset
-    F = np.eye(state.size)
-    at = state.at(id)
-    F[at, at] = np.eye(3) / scale - np.outer(old.plane, offset) / scale**2
+    at, F = state.at(id), np.zeros((3, state.size))
+    F[:, at] = np.eye(3) / scale - np.outer(old.plane, offset) / scale**2
     state.planes[id] = AnchoredPlane(old.plane / scale, anchor.copy())
-    ekf.predict(state.error, state.error.mu, F, np.zeros_like(F))
+    ekf.predict_rows(state.error, np.arange(at.start, at.stop), F, np.zeros((3, 3)))
 
 
-def renew(state: SceneState, id: int, relief: float):
-    """Let a plane change as the camera moves on and sees another part of the surface.
+def renew(state: SceneState, relief: float):
+    """Let all planes change as the camera moves on and sees other parts of the surfaces.
 
-    Its depth walks by ``relief``, a share of it, while the camera moves by its distance from the
-    plane: a surface is no plane, and each part of it departs by so much.
+    Their depths walk by ``relief``, a share of them, while the camera moves by its distance from
+    the plane: a surface is no plane, and each part of it departs by so much.
     """
-    at, known, offset = state.at(id), state.planes[id], state.current.t - state.planes[id].anchor
-    distance = abs(1 + known.plane @ offset) / np.linalg.norm(known.plane)
+    _, plane, anchor = state.arrays
+    above = 1 + np.sum(plane * (state.current.t - anchor), axis=1)
+    distance = np.abs(above) / np.sqrt(np.sum(plane * plane, axis=1))
     way = np.linalg.norm(state.current.t - state.previous.t)
-    share = way / max(way, distance)
-    state.error.P[at, at] += share * relief**2 * np.outer(known.plane, known.plane)
+    share = way / np.maximum(way, distance)
+    at = state.size - plane.size + np.arange(plane.size).reshape(-1, 3)
+    state.error.P[at[:, :, None], at[:, None]] += (
+        relief**2 * share[:, None, None] * plane[:, :, None] * plane[:, None])
 
 
 def bend(state: SceneState, id: int, sigma: float):

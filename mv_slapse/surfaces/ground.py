@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.motion.observations import Evidence
+from mv_slapse.motion.observations import BlockObservations
 from mv_slapse.surfaces import height
 from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.height import HeightBelief, RoadBlocks
@@ -213,13 +213,13 @@ class Vectors:
     ----------
     sigma : (N,) array
         Standard deviation of a coordinate [px].
-    evidence : Evidence
+    evidence : BlockObservations
     unsupported : (N,) bool array
         Vectors that no neighbour supports.
     """
 
     sigma: np.ndarray
-    evidence: Evidence
+    evidence: BlockObservations
     unsupported: np.ndarray
 
 

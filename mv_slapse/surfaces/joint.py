@@ -1,10 +1,14 @@
 """Joint re-estimation of camera motion and stationary planes, (10) of [MVO]."""
 
-from mv_slapse.geometry import rotation, two_view
+from mv_slapse.geometry import two_view
+from mv_slapse.kernels.binding import compiled
 import numpy as np
 
+WIDTH = 3.0  # of the Geman-McClure kernel [sigma]
+OFF_PLANES, LEFT_OUT = -1, -2  # what tells of the motion alone, and what moves by itself
 
-def reestimate(pair: two_view.Pair, R, t, planes, index, relief: float, steps: int = 4,
+
+def reestimate(pair: two_view.Pair, motion, planes, index, relief: float, *, steps: int = 4,
                expected=()):
     """Minimise (10) over rotation, direction and planes.
 
@@ -13,15 +17,14 @@ def reestimate(pair: two_view.Pair, R, t, planes, index, relief: float, steps: i
     Parameters
     ----------
     pair : Pair
-        Stationary correspondences.
-    R, t : (3, 3), (3,) arrays
+    motion : (R (3, 3), t (3,))
         Start, X_cur = R X_prev + t with |t| = 1.
     planes : (P, 3) array
         Start, n / d in camera k [1/baseline].
     index : (N,) int array
-        Plane of each correspondence, -1 for none.
+        Plane of each correspondence, or OFF_PLANES, or LEFT_OUT.
     relief : float
-        See two_view.plane_terms.
+        See two_view.normal_equations.
     steps : int
     expected : sequence of (int, (3,) array, (3, 3) array), optional
         What is known of a plane beforehand: its number, mean and information.
@@ -32,41 +35,7 @@ def reestimate(pair: two_view.Pair, R, t, planes, index, relief: float, steps: i
     covariance : (6 + 3 P, 6 + 3 P) array
         Of (rotation, direction, planes); singular along t.
     """
-    planes = np.array(planes, float).reshape(-1, 3)
-    damping = 1e-6
-    A, b, cost, lift = _tangent_equations(pair, R, t, planes, index, relief, expected)
-    for _ in range(steps):
-        step = lift @ np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-12), b)
-        trial = _moved(R, t, planes, step)
-        new = _tangent_equations(pair, *trial, index, relief, expected)
-        if new[2] > cost:
-            damping = max(damping * 100, 1e-3)
-            continue
-        converged = cost - new[2] < 1e-4 * cost
-        (R, t, planes), (A, b, cost, lift) = trial, new
-        damping *= 0.1
-        if converged:
-            break
-    return R, t, planes, lift @ np.linalg.pinv(A, hermitian=True) @ lift.T
-
-
-def _moved(R, t, planes, step):
-    """Apply a step of (w, t, planes) and bring t back to unit length."""
-    t_new = t + step[3:6]
-    return (rotation.exp(step[:3]) @ R, t_new / np.linalg.norm(t_new),
-            planes + step[6:].reshape(-1, 3))
-
-
-def _tangent_equations(pair, R, t, planes, index, relief, expected):
-    """Return A, b by (w, two tangents of t, planes), the cost, and the lift back to t."""
-    A, b, cost = two_view.normal_equations(pair, R, t, planes, index, relief, width=3.0)
-    for i, mean, information in expected:
-        at = slice(6 + 3 * i, 9 + 3 * i)
-        off = mean - planes[i]
-        A[at, at] += information
-        b[at] += information @ off
-        cost += float(off @ information @ off)
-    lift = np.zeros((len(b), len(b) - 1))
-    lift[:3, :3], lift[3:6, 3:5] = np.eye(3), rotation.tangent_basis(t)
-    lift[6:, 5:] = np.eye(len(b) - 6)
-    return lift.T @ A @ lift, lift.T @ b, cost, lift
+    options = np.array([relief, WIDTH, 1.0, 1.0, 0.0, 0.0])
+    return compiled.reestimate(
+        *two_view.columns(pair, *motion), np.ascontiguousarray(index, np.int64),
+        np.array(planes, float).reshape(-1, 3), options, list(expected), steps)

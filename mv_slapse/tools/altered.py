@@ -4,8 +4,8 @@ What was tried on a few clips may fit them by chance. Mirrored, or cut by a few 
 macroblocks lie elsewhere, and coded anew, they show how far a figure carries.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,10 +14,9 @@ from mv_slapse.codec.pictures import pictures
 from mv_slapse.evaluation.truth import read_arrays
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.storage.tables import read_table
-from mv_slapse.tools.cases import Case, encoded, named, sequences
+from mv_slapse.tools.cases import encoded, named, ORIGINAL, Scene, sequence
 import numpy as np
 
-SOURCE = 'h264_lowlatency.mp4'
 LABELLED, BOXED = 10.0, 30.0  # [Hz] of the clips with labelled points, and with boxes
 RATES = {LABELLED: '9000000', BOXED: '2000000'}  # [bit/s] at which the given ones are coded
 BOX_HEADER = 'frame,x,y,width,height'
@@ -56,33 +55,36 @@ class Alteration(NamedTuple):
 KINDS = {'mirrored': Alteration(True, 0, 0), 'cut': Alteration(False, 10, 9)}
 
 
-def altered(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
-    """Yield the clips with labelled points or boxes, altered, in two encodings of their rate.
+def altered(data: Path) -> list[Scene]:
+    """Return the clips with labelled points or boxes, altered, in two encodings of their rate."""
+    found = []
+    for folder in sorted({path.parent for path in data.rglob('camera.yaml')}):
+        for case in sequence(data, folder):
+            if case.video.name == ORIGINAL and (case.labels or case.boxes):
+                found += [Scene(name, partial(_altered, name, case, alteration))
+                          for kind, alteration in KINDS.items()
+                          for name in [f'{folder.name}, {kind}']
+                          if not (alteration.mirrored and np.any(case.camera.distortion))]
+    return found
 
-    ``only``: those whose row's name holds this text.
-    """
-    for case in sequences(data):
-        if case.video.name != SOURCE or not (case.labels or case.boxes):
-            continue
-        fps = LABELLED if case.labels else BOXED
-        for kind, alteration in KINDS.items():
-            if alteration.mirrored and np.any(case.camera.distortion):
-                continue
-            name = f'{case.video.parent.name}, {kind}'
-            wanted = named(name, _encodings(fps), only)
-            if wanted:
-                images = [alteration.image(image) for image in pictures(case.video)]
-                truth = folder / name
-                truth.mkdir(parents=True, exist_ok=True)
-                like = _with_camera_and_truth(case, alteration, truth)
-                yield from encoded(wanted, folder, images, fps, like)
+
+def _altered(name, case, alteration, folder, only):
+    wanted = named(name, _encodings(_rate(case)), only)
+    if wanted:
+        like = _with_camera_and_truth(case, alteration, folder)
+        yield from encoded(wanted, folder, _rate(case),
+                           lambda: map(alteration.image, pictures(case.video)), like)
+
+
+def _rate(case):
+    return LABELLED if case.labels else BOXED
 
 
 def _encodings(fps):
     b_frames = 0 if fps == LABELLED else 3
     return {'mpeg2.mp4': Encoding('mpeg2video', b_frames, 12, {
                 'strict': '-2', 'flags': '0', 'b': RATES[fps]}),
-            SOURCE: Encoding('h264', 0, 30, {
+            ORIGINAL: Encoding('h264', 0, 30, {
                 'preset': 'veryfast', 'crf': '-1', 'b': RATES[fps]})}
 
 
@@ -96,8 +98,10 @@ def _with_camera_and_truth(case, alteration, folder):
         known = read_arrays(case.labels, ('tracks', 'visible', 'label'))
         tracks = alteration.x(known['tracks'], width)
         inside = np.all((tracks >= 0) & (tracks <= (camera.width - 1, camera.height - 1)), axis=2)
-        np.savez(folder / case.labels.name, tracks=tracks, label=known['label'],
+        part = folder / f'part {case.labels.name}'
+        np.savez(part, tracks=tracks, label=known['label'],
                  visible=known['visible'].astype(bool) & inside)
+        part.replace(folder / case.labels.name)  # another run may be about to read it
         return replace(alone, labels=folder / case.labels.name)
     table = read_table(case.boxes, BOX_HEADER)
     corners = np.stack([table['x'], table['y']], axis=-1)
@@ -105,5 +109,7 @@ def _with_camera_and_truth(case, alteration, folder):
         corners[:, 0] += table['width'] - 1
     table['x'], table['y'] = alteration.x(corners, width).T
     rows = np.stack([table[column] for column in BOX_HEADER.split(',')], axis=-1)
-    np.savetxt(folder / case.boxes.name, rows, '%g', ',', header=BOX_HEADER, comments='')
+    part = folder / f'part {case.boxes.name}'
+    np.savetxt(part, rows, '%g', ',', header=BOX_HEADER, comments='')
+    part.replace(folder / case.boxes.name)
     return replace(alone, boxes=folder / case.boxes.name)

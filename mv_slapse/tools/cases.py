@@ -1,13 +1,14 @@
 """What ``make evaluate`` measures: sequences, the same re-encoded, rendered streets and flights.
 
-Each family yields its cases one after another, rendered or encoded only when their turn comes.
+A scene makes its cases in a folder of its own; a video that is there already is not made again.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import product
+from functools import partial
+from itertools import islice, product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mv_slapse.codec.encoder import Encoding, leave_out, LOW_LATENCY, write_video
 from mv_slapse.codec.pictures import pictures
@@ -55,7 +56,10 @@ GIVEN, FREE = 'speed given, ', 'free scale, '
 TOLD = ('kitti00/', 'kitti00, 2 s lost/', 'flight, wide lens/')  # rows with a speed, too
 UNTOLD = ('kitti00/',)  # rows without their height, too
 LOST = range(80, 100)  # packets of 10 Hz; the road turns meanwhile
+ORIGINAL = 'h264_lowlatency.mp4'  # of a sequence; the one that is encoded anew
 GUESSED_FOCAL = 0.8  # of the width, where nobody knows the lens
+GRAIN = 1.0  # standard deviation of the noise added to pictures [grey levels]
+GRAINY = ', noise'  # names the rows of pictures with noise
 
 
 @dataclass(frozen=True)
@@ -73,57 +77,95 @@ class Case:
     speeds: tuple[Speed, ...] = ()
 
 
-def sequences(data: Path) -> Iterator[Case]:
-    """Yield every video below a folder that has a camera beside it."""
-    for folder in sorted({path.parent for path in data.rglob('camera.yaml')}):
-        camera = read_camera(folder / 'camera.yaml')
-        truth = [folder / name if (folder / name).exists() else None for name in
-                 ('ground_truth.tum', 'motion_labels.npz', 'boxes.csv', 'annotation.json')]
-        for video in sorted([*folder.glob('*.mp4'), *folder.glob('*.mpg')]):
-            yield Case(f'{folder.relative_to(data)}/{video.name}', video, camera,
-                       HEIGHTS.get(folder.name, 0.0), *truth)
+class Scene(NamedTuple):
+    """A sequence, street or flight in all its encodings.
+
+    Attributes
+    ----------
+    name : str
+    make : functools.partial of a function of a folder and a text
+        Yields the cases whose name holds the text; makes what they need and the folder lacks.
+    """
+
+    name: str
+    make: partial
+
+    @property
+    def content(self) -> str:
+        """What tells it from any other scene."""
+        return f'{self.name} {self.make.func.__qualname__} {self.make.args}'
 
 
-def cameraless(data: Path) -> Iterator[Case]:
-    """Yield the videos that have no calibration, with a guessed one."""
-    for video in sorted((data / 'original_codec').glob('*.mp4')):
-        height, width = next(pictures(video)).shape
-        focal = GUESSED_FOCAL * width
-        K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
-        yield Case(f'original_codec/{video.name}', video, Camera(width, height, K))
+def given(data: Path) -> list[Scene]:
+    """Return a scene for every folder below another that has a camera."""
+    return [Scene(str(folder.relative_to(data)), partial(_given, data, folder))
+            for folder in sorted({path.parent for path in data.rglob('camera.yaml')})]
 
 
-def recoded(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
-    """Yield kitti00 at a low bit rate, and with every other picture left out."""
-    source = data / 'kitti00'
-    if not (source / 'h264_lowlatency.mp4').exists():
-        return
-    for kind, fps, step, encodings in (('kitti00 at 1 Mbit/s', 10.0, 1, LOW_RATE_ENCODINGS),
-                                       ('kitti00 at 5 Hz', 5.0, 2, SLOW_ENCODINGS)):
-        wanted = named(kind, encodings, only)
-        if wanted:
-            images = list(pictures(source / 'h264_lowlatency.mp4'))[::step]
-            yield from encoded(wanted, folder, images, fps, Case(
-                '', folder, read_camera(source / 'camera.yaml'), HEIGHTS['kitti00'],
-                source / 'ground_truth.tum'))
+def sequence(data: Path, folder: Path) -> Iterator[Case]:
+    """Yield every video of a folder that has a camera."""
+    camera = read_camera(folder / 'camera.yaml')
+    truth = [folder / name if (folder / name).exists() else None for name in
+             ('ground_truth.tum', 'motion_labels.npz', 'boxes.csv', 'annotation.json')]
+    for video in sorted([*folder.glob('*.mp4'), *folder.glob('*.mpg')]):
+        yield Case(f'{folder.relative_to(data)}/{video.name}', video, camera,
+                   HEIGHTS.get(folder.name, 0.0), *truth)
 
 
-def lossy(data: Path, folder: Path, only: str = '') -> Iterator[Case]:
-    """Yield kitti00 with the packets of two seconds left out, as a radio link would."""
-    source = data / 'kitti00'
-    for kind, height in LOSSES.items():
-        for name in named(kind, ENCODINGS, only):
-            given, video = source / Path(name).name, folder / name
-            if given.exists():
-                video.parent.mkdir(parents=True, exist_ok=True)
-                leave_out(given, video, LOST)
-                yield Case(name, video, read_camera(source / 'camera.yaml'), height,
-                           source / 'ground_truth.tum')
+def cameraless(data: Path) -> list[Scene]:
+    """Return a scene of each video that has no calibration, with a guessed one."""
+    return [Scene(f'original_codec/{video.name}', partial(_cameraless, video))
+            for video in sorted((data / 'original_codec').glob('*.mp4'))]
 
 
-def otherwise_scaled(given: Iterable[Case], seed: int = 0) -> Iterator[Case]:
+def recoded(data: Path) -> list[Scene]:
+    """Return kitti00 at a low bit rate, and with every other picture left out."""
+    return _of_sequences(
+        data, Anew('kitti00 at 1 Mbit/s', 'kitti00', 10.0, LOW_RATE_ENCODINGS),
+        Anew('kitti00 at 5 Hz', 'kitti00', 5.0, SLOW_ENCODINGS, step=2))
+
+
+def lossy(data: Path) -> list[Scene]:
+    """Return kitti00 with the packets of two seconds left out, as a radio link would."""
+    return [Scene(kind, partial(_lossy, data / 'kitti00', kind, height))
+            for kind, height in LOSSES.items() if (data / 'kitti00' / ORIGINAL).exists()]
+
+
+def streets(count: int, n_frames: int) -> list[Scene]:
+    """Return streets of different seeds."""
+    return [_street(f'{kind} {seed}', StreetSettings(
+                seed=seed, n_frames=n_frames, movers=TRAFFIC[kind][seed % len(TRAFFIC[kind])]))
+            for kind, seed in product(TRAFFIC, range(count))]
+
+
+def drives() -> list[Scene]:
+    """Return the streets in which the camera does not simply drive ahead."""
+    return [_street(kind, StreetSettings(seed=10 + seed, **settings))
+            for seed, (kind, settings) in enumerate(DRIVES.items())]
+
+
+def flights() -> list[Scene]:
+    """Return flights through a room; the scale is free."""
+    return [Scene(kind, partial(_flight, kind, lens, settings, 0.0))
+            for kind, (lens, settings) in FLIGHTS.items()]
+
+
+def grainy(data: Path, scenes: Iterable[Scene]) -> list[Scene]:
+    """Return rendered scenes, and sequences whose way is known, with noise in their pictures.
+
+    The same scene in other vectors, with the same truth: how far a figure carries.
+    """
+    again = [Scene(name, partial(scene.make.func, name, *scene.make.args[1:-1], GRAIN))
+             for scene in scenes if scene.make.func in (_filmed, _flight)
+             for name in [scene.name + GRAINY]]
+    return again + _of_sequences(
+        data, Anew('kitti00' + GRAINY, 'kitti00', 10.0, SLOW_ENCODINGS, grain=GRAIN),
+        Anew('parking' + GRAINY, 'parking', 30.0, ENCODINGS, grain=GRAIN))
+
+
+def otherwise_scaled(cases: Iterable[Case], seed: int = 0) -> Iterator[Case]:
     """Yield cases, and some once more without their height, or with a speed in its place."""
-    for case in given:
+    for case in cases:
         yield case
         if case.name.startswith(UNTOLD):
             yield replace(case, name=FREE + case.name, height=0.0)
@@ -134,53 +176,104 @@ def otherwise_scaled(given: Iterable[Case], seed: int = 0) -> Iterator[Case]:
                           speeds=tuple(drawn_speeds(truth, seed)))
 
 
-def streets(folder: Path, count: int, n_frames: int, only: str = '') -> Iterator[Case]:
-    """Render streets of different seeds into a folder and yield them in every encoding.
-
-    ``only``: those whose row's name holds this text.
-    """
-    for kind, seed in product(TRAFFIC, range(count)):
-        movers = TRAFFIC[kind][seed % len(TRAFFIC[kind])]
-        yield from _street(f'{kind} {seed}', folder, only,
-                           StreetSettings(seed=seed, n_frames=n_frames, movers=movers))
-
-
-def drives(folder: Path, only: str = '') -> Iterator[Case]:
-    """Render the streets in which the camera does not simply drive ahead."""
-    for seed, (kind, settings) in enumerate(DRIVES.items()):
-        yield from _street(kind, folder, only, StreetSettings(seed=10 + seed, **settings))
-
-
-def flights(folder: Path, only: str = '') -> Iterator[Case]:
-    """Render flights through a room; the scale is free."""
-    for kind, (lens, settings) in FLIGHTS.items():
-        wanted = named(kind, ENCODINGS, only)
-        if wanted:
-            images = list(film_flight(Flight(lens, settings), folder / kind))
-            yield from encoded(wanted, folder, images, settings.fps,
-                                Case('', folder, lens, 0.0, folder / kind))
-
-
-def _street(kind: str, folder: Path, only: str, settings: StreetSettings) -> Iterator[Case]:
-    wanted = named(kind, ENCODINGS if settings.fps >= 24 else SLOW_ENCODINGS, only)
-    if wanted:
-        street = Street(settings)
-        images = list(film(street, folder / kind))
-        yield from encoded(wanted, folder, images, settings.fps, Case(
-            '', folder, street.camera, settings.camera_height, folder / kind))
-
-
 def named(kind: str, encodings: dict[str, Encoding], only: str) -> dict[str, Encoding]:
     """Return the encodings by the names of their rows, of those whose name holds ``only``."""
     return {f'{kind}/{file}': encoding for file, encoding in encodings.items()
             if only in f'{kind}/{file}'}
 
 
-def encoded(wanted: dict[str, Encoding], folder: Path, images: Iterable[np.ndarray], fps: float,
-            like: Case) -> Iterator[Case]:
-    """Write pictures in each encoding into a folder and yield the cases, else as ``like``."""
-    for name, encoding in wanted.items():
-        video = folder / name
-        video.parent.mkdir(parents=True, exist_ok=True)
-        write_video(video, images, fps, encoding)
-        yield replace(like, name=name, video=video)
+def encoded(wanted: dict[str, Encoding], folder: Path, fps: float,
+            images: Callable[[], Iterable[np.ndarray]], like: Case) -> Iterator[Case]:
+    """Write the pictures that a function gives in each encoding that a folder lacks.
+
+    Yields the cases, else as ``like``. The function is not called where all videos are there; it
+    may write the truth beside them.
+    """
+    videos = {name: folder / name.replace('/', ' - ') for name in wanted}
+    missing = {name: video for name, video in videos.items() if not video.exists()}
+    pictured = list(images()) if missing else []
+    for name, video in missing.items():
+        part = video.with_name(f'part {video.name}')  # a run may end in the midst of a video
+        write_video(part, pictured, fps, wanted[name])
+        part.replace(video)
+    yield from (replace(like, name=name, video=video) for name, video in videos.items())
+
+
+def with_grain(images: Iterable[np.ndarray], sigma: float, seed: int = 0) -> Iterator[np.ndarray]:
+    """Yield pictures with noise added, which changes the vectors but not the scene."""
+    rng = np.random.default_rng(seed)
+    for image in images:
+        noise = sigma * rng.standard_normal(image.shape, np.float32)
+        yield np.clip(np.rint(image + noise), 0, 255).astype(np.uint8) if sigma else image
+
+
+class Anew(NamedTuple):
+    """How a sequence is encoded anew: every ``step``-th picture, with noise [grey levels]."""
+
+    kind: str
+    sequence: str
+    fps: float
+    encodings: dict[str, Encoding]
+    step: int = 1
+    grain: float = 0.0
+
+
+def _of_sequences(data, *ways):
+    return [Scene(way.kind, partial(_recoded, data / way.sequence, way)) for way in ways
+            if (data / way.sequence / ORIGINAL).exists()]
+
+
+def _given(data, folder, _, only):
+    return (case for case in otherwise_scaled(sequence(data, folder)) if only in case.name)
+
+
+def _cameraless(video, _, only):
+    name = f'original_codec/{video.name}'
+    if only in name:
+        height, width = next(pictures(video)).shape
+        focal = GUESSED_FOCAL * width
+        K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+        yield Case(name, video, Camera(width, height, K))
+
+
+def _recoded(source, way, folder, only):
+    def images():
+        return with_grain(islice(pictures(source / ORIGINAL), 0, None, way.step), way.grain)
+
+    yield from encoded(named(way.kind, way.encodings, only), folder, way.fps, images, Case(
+        '', folder, read_camera(source / 'camera.yaml'), HEIGHTS.get(source.name, 0.0),
+        source / 'ground_truth.tum'))
+
+
+def _lossy(source, kind, height, folder, only):
+    for name in named(kind, ENCODINGS, ''):
+        whole, video = source / Path(name).name, folder / Path(name).name
+        if whole.exists():
+            if not video.exists():
+                leave_out(whole, part := video.with_name(f'part {video.name}'), LOST)
+                part.replace(video)
+            case = Case(name, video, read_camera(source / 'camera.yaml'), height,
+                        source / 'ground_truth.tum')
+            yield from (row for row in otherwise_scaled([case]) if only in row.name)
+
+
+def _street(kind, settings):
+    return Scene(kind, partial(_filmed, kind, settings, 0.0))
+
+
+def _filmed(kind, settings, grain, folder, only):
+    wanted = named(kind, ENCODINGS if settings.fps >= 24 else SLOW_ENCODINGS, only)
+    if wanted:
+        street, truth = Street(settings), folder / 'truth'
+        yield from encoded(wanted, folder, settings.fps,
+                           lambda: with_grain(film(street, truth), grain),
+                           Case('', folder, street.camera, settings.camera_height, truth))
+
+
+def _flight(kind, lens, settings, grain, folder, only):
+    given_anyway = only.removeprefix(GIVEN)
+    truth = folder / 'truth'
+    cases = encoded(named(kind, ENCODINGS, given_anyway), folder, settings.fps,
+                    lambda: with_grain(film_flight(Flight(lens, settings), truth), grain),
+                    Case('', folder, lens, 0.0, truth))
+    yield from (case for case in otherwise_scaled(cases) if only in case.name)

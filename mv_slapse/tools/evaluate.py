@@ -1,26 +1,23 @@
 """``make evaluate``: every sequence in every encoding and what is rendered, in two tables.
 
 Sequences are read where they lie, ``../shared/data`` beside the checkout; rendered streets need
-nothing. The page names the commit and the commands, so that anybody can repeat a row.
+nothing. The page names the commit and the commands, so that anybody can repeat a row. A run that
+was interrupted goes on where it ended.
 """
 
 import argparse
-from collections.abc import Iterator
 from pathlib import Path
 import subprocess
 import sys
-import tempfile
 from typing import Any
 
-from mv_slapse.config import SceneSettings, Settings
-from mv_slapse.errors import MvSlapseError
 from mv_slapse.tools import cases
 from mv_slapse.tools.altered import altered
-from mv_slapse.tools.cases import Case
-from mv_slapse.tools.eval import evaluate
-from mv_slapse.tools.run import run
+from mv_slapse.tools.cases import Scene
+from mv_slapse.tools.rows import Cache, Figures, measure_all, Pool, state_of_code
 
 DATA = Path('../shared/data')
+CACHE = Path('out/cache')
 STREETS = 5
 STREET_FRAMES = 150
 COLUMNS = {
@@ -47,22 +44,6 @@ OBSTACLE_COLUMNS = {
     'annotated, met': ('annotated_vehicles_met', '{:d}'),
     'its position [%]': ('annotated_position_error_percent', '{:.1f}'),
     'its velocity [m/s]': ('annotated_velocity_error_m_s', '{:.2f}')}
-
-
-def measure(case: Case, output: Path) -> dict[str, Any]:
-    """Run one case and return its figures; with the message as ``error`` where it refuses."""
-    settings = Settings(scene=SceneSettings(camera_height=case.height))
-    try:
-        summary = run(case.video, case.camera, settings, output, speeds=case.speeds)
-        figures: dict[str, Any] = {'n_poses': summary.poses}
-        if case.ground_truth or case.labels or case.boxes or case.annotation:
-            figures |= evaluate(output, case.ground_truth, case.labels, case.boxes,
-                                annotation=case.annotation)
-    except MvSlapseError as error:
-        return {'error': str(error)}
-    if summary.scale_status != 'metric':
-        figures.pop('ate_rigid_mean_percent', None)
-    return figures | {'cpu_ms': 1e3 * summary.cpu_seconds['total'] / max(summary.frames, 1)}
 
 
 def row(name: str, figures: dict[str, Any], columns: dict[str, tuple[str, str]] = COLUMNS) -> str:
@@ -116,36 +97,51 @@ def commit_of(folder: Path) -> str:
     return answer.stdout.strip() or 'unknown'
 
 
-def all_cases(options: argparse.Namespace, folder: Path) -> Iterator[Case]:
-    """Yield what the options ask for, in the order of the page."""
-    only = options.only.removeprefix(cases.GIVEN).removeprefix(cases.FREE)
-    if options.data.is_dir():
-        yield from cases.otherwise_scaled(cases.sequences(options.data))
-        yield from cases.cameraless(options.data)
-        yield from cases.recoded(options.data, folder, only)
-        yield from cases.otherwise_scaled(cases.lossy(options.data, folder, only))
-        yield from altered(options.data, folder, only)
-    yield from cases.streets(folder, options.streets, options.frames, only)
-    yield from cases.drives(folder, only)
-    yield from cases.otherwise_scaled(cases.flights(folder, only))
+def all_scenes(options: argparse.Namespace) -> list[Scene]:
+    """Return what is measured, in the order of the page."""
+    data, found = options.data.resolve(), []
+    if data.is_dir():
+        found = [*cases.given(data), *cases.cameraless(data), *cases.recoded(data),
+                 *cases.lossy(data), *altered(data)]
+    found += [*cases.streets(options.streets, options.frames), *cases.drives(), *cases.flights()]
+    return found
+
+
+def cache_of(options: argparse.Namespace) -> Cache:
+    """Return the cache folder, for the code as it is."""
+    return Cache(options.cache.resolve(), state_of_code(), options.only)
+
+
+def pool_of(options: argparse.Namespace) -> Pool:
+    """Return the processes that the options ask for."""
+    return Pool(options.jobs, options.nice)
+
+
+def tell(name: str, figures: Figures):
+    """Print the figures of a row."""
+    print(row(name, figures) + row('', figures, OBSTACLE_COLUMNS)[3:], file=sys.stderr, flush=True)
+
+
+def add_options(parser: argparse.ArgumentParser):
+    """Add what is measured, where it is cached, and in how many processes."""
+    parser.add_argument('--data', type=Path, default=DATA, help='folder of the sequences')
+    parser.add_argument('--only', default='', help='only rows whose name holds this')
+    parser.add_argument('--streets', type=int, default=STREETS, help='rendered streets')
+    parser.add_argument('--frames', type=int, default=STREET_FRAMES, help='pictures of a street')
+    parser.add_argument('--cache', type=Path, default=CACHE,
+                        help='folder of what is rendered, encoded, decoded and measured; what is '
+                             'there is not made again (default: %(default)s)')
+    parser.add_argument('--jobs', type=int, default=0, help='processes (default: one a core)')
+    parser.add_argument('--nice', type=int, default=0, help='added to their niceness')
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure everything and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('--data', type=Path, default=DATA, help='folder of the sequences')
-    parser.add_argument('--only', default='', help='only rows whose name holds this')
-    parser.add_argument('--streets', type=int, default=STREETS, help='rendered streets')
-    parser.add_argument('--frames', type=int, default=STREET_FRAMES, help='pictures of a street')
+    add_options(parser)
     parser.add_argument('-o', '--output', type=Path, default=Path('docs/results.md'))
     options = parser.parse_args(arguments)
-    measured = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for case in all_cases(options, Path(folder)):
-            if options.only in case.name:
-                figures = measured[case.name] = measure(case, Path(folder) / 'out')
-                print(row(case.name, figures) + row('', figures, OBSTACLE_COLUMNS)[3:],
-                      file=sys.stderr, flush=True)
+    measured = measure_all(all_scenes(options), cache_of(options), pool_of(options), tell)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(page(measured, commit_of(Path.cwd())))
     return 0

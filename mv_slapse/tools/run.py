@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 import platform
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.config import Settings
@@ -114,6 +114,15 @@ class Summary:
         return asdict(self)
 
 
+class Decoded(NamedTuple):
+    """A video's correspondences, the stamps of its packets [ns], and the CPU time it took [s]."""
+
+    input: str
+    pairs: list[Correspondences]
+    stamps: list[int]
+    cpu_seconds: float
+
+
 def run(input: str | Path, camera: Camera | None, settings: Settings, output: str | Path,
         max_frames: int | None = None, progress: Progress | None = None,
         topic: str | None = None, command: str = '', speeds: Iterable[Speed] = ()) -> Summary:
@@ -157,6 +166,28 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
                     writer.close(session.finish())
                 raise
             writer.close(session.finish())
+    return _checked(session.summary)
+
+
+def decode(input: str | Path, camera: Camera, settings: Settings) -> Decoded:
+    """Decode a whole video to correspondences, to be played as often as one likes."""
+    clock, pairs, stamps = CpuClock(), [], []
+    decoder = CorrespondenceDecoder(settings.decoder, camera)
+    with open_input(str(input)) as source, clock.stage('decode'):
+        for packet in source.packets:
+            pairs += decoder.feed(packet)
+            stamps.append(packet.stamp)
+        pairs += decoder.flush()
+    return Decoded(str(input), pairs, stamps, clock.seconds['decode'])
+
+
+def replay(decoded: Decoded, camera: Camera, settings: Settings, output: str | Path,
+           speeds: Iterable[Speed] = ()) -> Summary:
+    """Run everything on correspondences and write the folder of results, as ``run`` would."""
+    session = _Session(VideoInput(iter(())), decoded.input, camera, settings, speeds)
+    with ResultsWriter(output) as writer:
+        session.replay(decoded, writer)
+        writer.close(session.finish())
     return _checked(session.summary)
 
 
@@ -210,6 +241,13 @@ class _Session:
             if progress:
                 progress(self.summary.frames, total)
         self._take(self._decode(self._decoder.flush), writer)
+
+    def replay(self, decoded: Decoded, writer: ResultsWriter):
+        """Take correspondences that were decoded before."""
+        self._clock.seconds['decode'] = decoded.cpu_seconds
+        self._stamps = list(decoded.stamps)
+        self.summary.frames = len(self._stamps)
+        self._take(decoded.pairs, writer)
 
     def finish(self) -> dict[str, Any]:
         """Complete the summary and return its content."""

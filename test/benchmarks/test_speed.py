@@ -1,43 +1,54 @@
 """The benchmark runs, and its figures hang together; how fast anything is, is not tested."""
 
-import importlib.util
 import json
-from pathlib import Path
-import sys
 
 import pytest
-
-SCRIPT = Path(__file__).resolve().parents[2] / 'benchmarks' / 'speed.py'
+import speed
 
 
 @pytest.fixture(scope='module')
-def speed():
-    spec = importlib.util.spec_from_file_location('speed', SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules['speed'] = module  # where dataclasses look up their annotations
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules['speed']
+def made(tmp_path_factory):
+    """Return the page and the times of a short run."""
+    folder = tmp_path_factory.mktemp('speed')
+    assert speed.main(['--quick', '-o', str(folder / 'page.md'),
+                       '--json', str(folder / 'times.json')]) == 0
+    return (folder / 'page.md').read_text(), json.loads((folder / 'times.json').read_text())
 
 
-def test_a_rendered_street_is_measured_in_each_encoding(speed, capsys):
-    assert speed.main(['--rendered', '--frames', '14', '--repeat', '1', '--json']) == 0
-    measured = json.loads(capsys.readouterr().out)['speeds']
-    assert [m['video'] for m in measured] == [f'street/{name}' for name in speed.RENDERED]
+def test_a_street_is_measured_in_each_encoding(made):
+    measured = made[1]['clips']
+    assert [one['encoding'] for one in measured] == list(speed.ENCODINGS)
     for one in measured:
-        stages = {stage['name']: stage for stage in one['stages']}
-        plain = stages['plain decoding']
-        assert plain['ratio'] == 1
+        turn, = one['turns']
         assert one['frames'] == 14
         assert one['pairs'] > 0
-        for stage in stages.values():
-            assert stage['ratio'] == pytest.approx(stage['ms_per_frame'] / plain['ms_per_frame'])
-        assert stages['all']['ms_per_frame'] > stages['extraction']['ms_per_frame'] > 0
+        assert one['blocks'] > 20
+        assert turn['steps'] == pytest.approx(
+            turn['extraction'] + turn['scene filter'] + turn['tracker'], rel=0.1)
+        assert turn[speed.OURS] == pytest.approx(turn['correspondences'] + turn['steps'])
+        assert turn[speed.WRITING] == pytest.approx(turn[speed.OURS] + turn['writing'])
+        assert 0 < sum(turn[part] for part in speed.PARTS) < turn['extraction']
+        assert all(turn[name] > 0 for name in (speed.BARE, speed.ORB, speed.CORNERS,
+                                               speed.FEATURES, *speed.PARTS))
+        assert one['ate'][speed.OURS] < 5
 
 
-def test_the_table_has_a_line_for_each_stage(speed):
-    stages = (speed.Stage('plain decoding', 2.0, 1.0), speed.Stage('extraction', 5.0, 2.5))
-    lines = speed.text([speed.Speed('a/b.mpg', 640, 480, 9, 3, stages)]).splitlines()
-    assert lines[0] == 'a/b.mpg: 640x480, 9 frames, 3 key frame pairs'
-    assert '2.00 ms a frame' in lines[1]
-    assert '2.50 x plain decoding' in lines[2]
+def test_the_page_has_what_is_asked(made):
+    page, times = made
+    turn = times['clips'][0]['turns'][0]
+    ratio = f'{turn[speed.OURS] / turn[speed.ORB]:.2f}'
+    assert f'| street, 640×480, MPEG-2, B: ours, all ÷ ORB | {ratio} | {ratio} | {ratio} |' in page
+    assert 'at commit' in page
+
+
+def test_ratios_are_of_one_turn():
+    turns = [{'a': 1.0, 'b': 2.0}, {'a': 9.0, 'b': 3.0}, {'a': 4.0, 'b': 4.0}]
+    one = speed.Measured('', '', 1, 1, 1, 1, 1, 1.0, turns, {})
+    assert one.ratios('a', 'b') == [0.5, 1.0, 3.0]
+    assert one.ms('a') == 4.0
+
+
+@pytest.mark.parametrize('path', speed.PARTS.values())
+def test_each_part_is_where_the_table_says(path):
+    holder, name = speed.place(path)
+    assert callable(getattr(holder, name))

@@ -93,3 +93,16 @@ def test_the_ceiling_is_the_median_distance_of_what_is_sharp(rng):
     sharp = shown & (depths.sigma < ground.MAX_BLUR * depths.rho)
     assert ceiling == pytest.approx(np.median(1 / depths.rho[sharp]))
     assert way(replace(depths, sigma=depths.rho))[-2] == height.MOST
+
+
+def test_blocks_far_from_all_others_are_not_the_ground_by_chance(rng):
+    depths = canyon_depths(rng, 0.0)
+    x, y = depths.x.T
+    road = np.abs(depths.rho - depths.rays[:, 1] / 1.6) < 0.01
+    alone = np.flatnonzero(road & (y > y[road].max() - 20) & (x < x[road].min() + 20))
+    free, lone = road & (x > x[road].mean()), np.isin(np.arange(len(x)), alone)
+    for shown, joins in ((~road & road, False), (lone, True)):
+        fit = ground.find_ground(depths, free | lone, replace(PRIORS[0], tilt=0.2), RULES,
+                                 rng.random((256, 10)), shown)
+        assert fit.member[free].mean() > 0.5
+        assert fit.member[alone].any() == joins

@@ -1,9 +1,14 @@
 """Ratio of baselines from drawn pairs that share their middle key frame."""
 
-from canyon import CANYON, HEIGHT, motion, views, WIDTH
+from dataclasses import replace
+
+from canyon import CANYON, HEIGHT, K, motion, views, WIDTH
 from mv_slapse.geometry import epipolar
 from mv_slapse.geometry import plane as plane_geometry
+from mv_slapse.geometry.two_view import Pair
 from mv_slapse.motion import baseline
+from mv_slapse.motion.estimate import MotionFit
+from mv_slapse.motion.observations import observe
 import numpy as np
 import pytest
 
@@ -18,6 +23,13 @@ def depths_seen(scene, t, rng, noise):
     return scene.rho + error, np.maximum(unit, 1e-9)
 
 
+def seen(pair, rho, unit):
+    """Return observations that hold these depths of all blocks."""
+    fit = MotionFit(np.eye(3), np.array([0, 0, -1.0]), np.zeros((6, 6)), 0.0)
+    return replace(observe(pair, fit, 3.0, 1.0, 0.0), rho=rho, far_sigma=unit,
+                   has_depth=np.ones(len(pair), bool))
+
+
 def drive(factor, rng, noise=0.0, outliers=0.0, expected=0.0):
     """Return the ratio found where the second baseline is ``factor`` times the first."""
     R, t = motion('ahead')
@@ -29,8 +41,8 @@ def drive(factor, rng, noise=0.0, outliers=0.0, expected=0.0):
     rho, unit = depths_seen(second, t, rng, noise)
     wrong = rng.uniform(size=len(rho)) < outliers
     rho[wrong] *= rng.uniform(0.2, 5, wrong.sum())
-    now = baseline.from_previous((WIDTH, HEIGHT), second.x_prev, second.pair.rays_cur, rho, unit,
-                              second.surface >= 0, R, t)
+    now = baseline.from_previous((WIDTH, HEIGHT), seen(second.pair, rho, unit),
+                                 second.surface >= 0, R, t)
     return baseline.baseline_ratio(before, now, expected)
 
 
@@ -82,7 +94,8 @@ def test_points_behind_the_previous_camera_do_not_count():
     n = len(x)
     rays = np.c_[np.zeros((n, 2)), np.ones(n)]
     rho = np.where(np.arange(n) % 2, 0.5, 1 / 12)  # 2 - 10 < 0, and 12 - 10 = 2
-    now = baseline.from_previous((160, 80), x, rays, rho, np.full(n, 1e-4), np.ones(n, bool), R, t)
+    pair = Pair(rays, rays, x, np.ones(n), K)
+    now = baseline.from_previous((160, 80), seen(pair, rho, np.full(n, 1e-4)), True, R, t)
     index = now.grid[now.grid >= 0]
     assert set(index) == set(range(0, n, 2))
     np.testing.assert_allclose(now.rho[index], 0.5)

@@ -1,5 +1,7 @@
 """Camera motion of drawn canyons: exact, with noise, with outliers, on one plane."""
 
+from dataclasses import replace
+
 from canyon import angle_between, CANYON, motion, MOTIONS, turn_between, views
 from mv_slapse.geometry import rotation
 from mv_slapse.motion import estimate
@@ -20,19 +22,12 @@ def disturbed(R, t, rng, size=0.01):
 
 
 def refined(scene, R, t):
-    pair = scene.pair
-    return estimate.refine(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, R, t)
+    return estimate.refined_from(scene.pair, R, t)
 
 
 def five_points(scene):
     pair = scene.pair
     return estimate.from_essential_matrix(pair.rays_cur, pair.rays_prev, THRESHOLD)
-
-
-def test_robust_weight_and_cost_by_hand():
-    error, sigma = np.array([0.0, 1.0, -2.0]), np.array([1.0, 1.0, 2.0])
-    np.testing.assert_allclose(estimate.robust_weight(error, sigma), [1, 0.25, 0.25])
-    assert estimate.robust_cost(error, sigma) == pytest.approx(1 / 3)
 
 
 def test_five_points_give_the_motion_up_to_its_direction(true_motion):
@@ -103,8 +98,8 @@ def test_a_poor_start_reaches_the_motion_that_a_good_one_does(rng):
     wrong = rng.uniform(size=len(rays)) < 0.5
     rays[wrong, :2] += rng.uniform(-0.02, 0.02, (wrong.sum(), 2))
     poor = rotation.exp(np.array([0.0, 0.05, 0.05])) @ t
-    good, found = (estimate.refine(scene.pair.rays_cur, rays, scene.pair.sigma,
-                                        scene.pair.focal, R, start) for start in (t, poor))
+    pair = replace(scene.pair, rays_prev=rays)
+    good, found = (estimate.refined_from(pair, R, start) for start in (t, poor))
     assert found.cost == pytest.approx(good.cost, abs=1 / len(rays))
     assert angle_between(found.t_cur_from_prev, good.t_cur_from_prev) < 0.01
 
@@ -123,8 +118,7 @@ def test_a_turn_is_found_with_its_error_and_without_the_wrong_vectors(rng):
     wrong = rng.uniform(size=len(far)) < 0.2
     rays = far.rays_prev.copy()
     rays[wrong, :2] += rng.uniform(-0.03, 0.03, (wrong.sum(), 2))
-    found, covariance, off = estimate.turn(far.rays_cur, rays, far.sigma, far.focal,
-                                                np.eye(3))
+    found, covariance, off = estimate.turn(replace(far, rays_prev=rays), np.eye(3))
     error = rotation.log(found @ R.T)
     assert error @ np.linalg.solve(covariance[:3, :3], error) < 25
     assert np.degrees(np.linalg.norm(error)) < 0.02

@@ -18,7 +18,11 @@ def true_motion(request):
 
 def judged(scene, pair=None, relief=0.0):
     fit = MotionFit(scene.R, scene.t, np.zeros((6, 6)), 0.0)
-    return block_observations.evidence(pair or scene.pair, fit, 3.0, 1.0, relief)
+    return block_observations.observe(pair or scene.pair, fit, 3.0, 1.0, relief)
+
+
+def may_turn(seen):
+    return block_observations.may_turn(seen.parallax[seen.epipolar_inlier], 1.0)
 
 
 def test_most_blocks_say_which_way_the_camera_moves(rng, true_motion):
@@ -34,9 +38,8 @@ def test_every_right_block_with_parallax_is_before_the_camera(true_motion):
     scene = views(*true_motion)
     near = scene.surface >= 0
     pair = scene.pair[near & (np.hypot(*(scene.x_true - scene.x_cur).T) > 1e-6)]
-    arguments = pair.rays_cur, pair.rays_prev, pair.focal, scene.R
-    assert block_observations.before_camera(*arguments, scene.t).all()
-    assert not block_observations.before_camera(*arguments, -scene.t).any()
+    assert block_observations.behind(pair, scene.R, scene.t) == 0
+    assert block_observations.behind(pair, scene.R, -scene.t) == 1
 
 
 def test_exact_stationary_blocks_keep_all_constraints(true_motion):
@@ -105,17 +108,15 @@ def test_an_object_that_crosses_leaves_its_epipolar_lines():
 
 
 def off_a_turn(scene):
-    pair = scene.pair
-    _, _, off = estimate.turn(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, scene.R)
-    return off * pair.sigma
+    return estimate.turn(scene.pair, scene.R)[2] * scene.pair.sigma
 
 
 def test_a_turn_shows_no_parallax_and_a_motion_does(rng, true_motion):
     R, t = true_motion
     moves = views(R, t, rng, 0.3, outliers=0.1)
     turns = views(R, t, rng, 0.3, planes=1e-6 * CANYON, outliers=0.1)
-    assert not block_observations.may_turn(judged(moves), 1.0)
-    assert block_observations.may_turn(judged(turns), 1.0)
+    assert not may_turn(judged(moves))
+    assert may_turn(judged(turns))
     assert block_observations.turns_only(off_a_turn(turns), 1.0)
 
 
@@ -124,11 +125,11 @@ def test_a_slow_motion_that_passes_for_a_turn_is_told_by_what_a_turn_leaves(rng,
     """Parallax like that of a turn whose rotation was misjudged, but not everywhere alike."""
     R, t = true_motion
     creeps = views(R, t, rng, 0.3, planes=0.1 * CANYON)
-    assert block_observations.may_turn(judged(creeps), 1.0)
+    assert may_turn(judged(creeps))
     assert not block_observations.turns_only(off_a_turn(creeps), 1.0)
     misjudged = views(R, t, rng, 0.3, planes=1e-6 * CANYON)
     wrong = MotionFit(exp([0, 2.0 / K[0, 0], 0]) @ R, np.array([1.0, 0, 0]), np.zeros((6, 6)), 0.0)
-    evidence = block_observations.evidence(misjudged.pair, wrong, 3.0, 1.0, 0.0)
+    evidence = block_observations.observe(misjudged.pair, wrong, 3.0, 1.0, 0.0)
     assert 1.5 < np.median(evidence.parallax) < 3
-    assert block_observations.may_turn(evidence, 1.0)
+    assert may_turn(evidence)
     assert block_observations.turns_only(off_a_turn(misjudged), 1.0)

@@ -244,7 +244,7 @@ def without_ground(extraction, label=Label.UNKNOWN):
     low = extraction.x_cur[:, 1] > extraction.K[1, 2]
     return replace(extraction, planes=extraction.planes[1:],
                    plane_id=np.where(low, -1, extraction.plane_id),
-                   label=np.where(low, label, extraction.label))
+                   label=np.where(low, label, extraction.label).astype(np.int8))
 
 
 def test_until_the_ground_is_found_the_covariance_holds_that_lengths_are_guessed():

@@ -38,8 +38,12 @@ def seen(state, offset=0.0, **changed):
                                'covariance': 1e-6 * np.eye(3), **changed})
 
 
+def distance_of(state, plane):
+    return scene_gate.squared_distances(state, [plane], SETTINGS).item()
+
+
 def test_what_is_predicted_is_at_no_distance(state):
-    assert scene_gate.squared_distance(state, seen(state), SETTINGS) == pytest.approx(0, abs=1e-9)
+    assert distance_of(state, seen(state)) == pytest.approx(0, abs=1e-9)
 
 
 def test_distance_is_that_of_the_numerical_derivative(rng, state):
@@ -48,13 +52,13 @@ def test_distance_is_that_of_the_numerical_derivative(rng, state):
     bias = SETTINGS.depth_bias * plane.plane
     S = (H @ state.P @ H.T + SETTINGS.depth_dependence * plane.covariance + np.outer(bias, bias))
     innovation = plane.plane - in_baselines(state)
-    assert scene_gate.squared_distance(state, plane, SETTINGS) == pytest.approx(
+    assert distance_of(state, plane) == pytest.approx(
         innovation @ np.linalg.solve(S, innovation), rel=1e-5)
 
 
 def test_without_a_baseline_nothing_can_be_compared(state):
     state.current.t = state.previous.t.copy()
-    assert scene_gate.squared_distance(state, seen(state), SETTINGS) == np.inf
+    assert distance_of(state, seen(state)) == np.inf
 
 
 def test_only_known_stationary_planes_have_a_distance(rng, state):
@@ -64,9 +68,9 @@ def test_only_known_stationary_planes_have_a_distance(rng, state):
                             (seen(state, label=Label.MOVING), [])):
         found = scene_gate.distances(state, replace(extraction, planes=(plane,)), SETTINGS)
         assert list(found) == expected
-        assert all(found[id_] == scene_gate.squared_distance(state, plane, SETTINGS)
+        assert all(found[id_] == distance_of(state, plane)
                    for id_ in expected)
-    assert scene_gate.squared_distance(state, far, SETTINGS) > SETTINGS.gate
+    assert distance_of(state, far) > SETTINGS.gate
 
 
 def test_the_ground_is_named_where_it_is_seen(rng, state):

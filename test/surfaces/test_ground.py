@@ -5,7 +5,7 @@ from dataclasses import replace
 from canyon import CANYON, motion, views
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.motion.observations import Evidence
+from mv_slapse.motion.observations import BlockObservations
 from mv_slapse.surfaces import ground, height
 from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride, Vectors
@@ -225,6 +225,14 @@ def test_a_known_ground_is_seen_in_a_few_lone_blocks(rng):
     assert find(depths, free, FRESH, rng, free) is None
 
 
+def observed(depths, parallax):
+    """Return right vectors that show some depths."""
+    n = len(depths)
+    no, yes, flow = np.zeros(n, bool), np.ones(n, bool), np.c_[parallax, np.zeros(n)]
+    return BlockObservations(None, np.zeros(n), depths.rho, depths.sigma, depths.sigma,
+                             depths.sigma, parallax, flow, yes, no, no, yes)
+
+
 def surveyed(rng, prior, learns=True, turn=0.0, n=120):
     """Return what `survey` makes of lone blocks, the second half of them wrong."""
     depths, surface, _ = road_depths(rng)
@@ -236,9 +244,7 @@ def surveyed(rng, prior, learns=True, turn=0.0, n=120):
     rho = depths.rho.copy()
     rho[wrong] *= np.exp(rng.uniform(-2, 2, len(wrong)))
     depths = replace(depths, rho=rho)
-    inlier, parallax = np.ones(len(rho), bool), np.clip(500 * rho, 5, 50)
-    evidence = Evidence(np.zeros(len(rho)), inlier, rho, depths.sigma, depths.sigma, parallax,
-                        ~inlier, ~inlier)
+    evidence = observed(depths, np.clip(500 * rho, 5, 50))
     result = ground.survey(depths, Vectors(np.full(len(rho), 0.3), evidence, lone), prior,
                            height.HeightBelief.blank(), Ride(ground.AXIS, turn, learns), 3.0)
     return *result, lone, wrong
@@ -364,14 +370,13 @@ def test_cars_beside_the_road_do_not_teach_a_height_of_their_own(rng):
     x = np.stack(np.meshgrid(np.arange(-160, 160, 16), np.arange(16, 80, 16)), -1).reshape(-1, 2)
     rays = np.c_[x / 400, np.ones(len(x))]
     rho = np.full(len(x), 0.06) * (1 + 0.03 * rng.standard_normal(len(x)))
-    inlier, parallax = np.ones(len(x), bool), rng.uniform(6, 12, len(x))
+    none, parallax = np.zeros(len(x), bool), rng.uniform(6, 12, len(x))
     sigma = 0.03 * rho
-    evidence = Evidence(np.zeros(len(x)), inlier, rho, sigma, sigma, parallax, ~inlier, ~inlier)
     spreads = []
     for shape in (rays[:, 1] / 0.1, np.ones(len(x))):
         depths = Depths(rays, rho * shape, sigma * shape, x + 500.0)
         belief, *_ = ground.survey(
-            depths, Vectors(np.full(len(x), 0.3), replace(evidence, rho=depths.rho), ~inlier),
+            depths, Vectors(np.full(len(x), 0.3), observed(depths, parallax), none),
             replace(FRESH, tilt=0.01), height.HeightBelief.blank(), Ride(ground.AXIS, 0.0, True),
             3.0)
         spreads.append(belief.spread)
@@ -393,17 +398,3 @@ def test_blocks_far_to_the_side_do_not_tilt_the_ground(rng):
                rules=rules)
     np.testing.assert_allclose(fit.plane, up / 1.65, atol=1e-3)
     assert not (fit.member & aside).any()
-
-
-def test_blocks_far_from_all_others_are_not_the_ground_by_chance(rng):
-    depths, surface, _ = road_depths(rng)
-    road, x, y = surface == 0, *depths.x.T
-    alone = np.flatnonzero(road & (y > y[road].max() - 20) & (x < x[road].min() + 20))
-    free = road & (x > x[road].mean())
-    free[alone] = True
-    none = np.zeros(len(free), bool)
-    lone = np.isin(np.arange(len(free)), alone)
-    for shown, joins in ((none, False), (lone, True)):
-        fit = find(depths, free, replace(FRESH, tilt=0.2), rng, shown)
-        assert fit.member[~lone].sum() > 0.5 * free.sum()
-        assert fit.member[alone].any() == joins

@@ -35,19 +35,25 @@ def data(tmp_path):
     return tmp_path / 'data'
 
 
+def made(data, folder, only=''):
+    for number, scene in enumerate(altered(data)):
+        (folder / str(number)).mkdir(exist_ok=True)
+        yield from scene.make(folder / str(number), only)
+
+
 def middle(image):
     return np.argwhere(image > 125).mean(axis=0)[::-1]
 
 
 def test_each_clip_with_a_truth_comes_once_for_each_kind_and_encoding(data, tmp_path):
-    names = [case.name for case in altered(data, tmp_path)]
+    names = [case.name for case in made(data, tmp_path)]
     assert names == [f'{clip}, {kind}/{file}' for clip in ('boxes', 'points') for kind in KINDS
                      for file in ('mpeg2.mp4', 'h264_lowlatency.mp4')]
-    assert [case.name for case in altered(data, tmp_path, 'points, cut/mpeg2')] == [names[6]]
+    assert [case.name for case in made(data, tmp_path, 'points, cut/mpeg2')] == [names[6]]
 
 
 def test_points_and_boxes_stay_on_what_they_mark(data, tmp_path):
-    for case in altered(data, tmp_path):
+    for case in made(data, tmp_path):
         with av.open(str(case.video)) as video:
             assert video.streams.video[0].average_rate == (10 if case.labels else 30)
         image = list(pictures(case.video))[1]
@@ -66,18 +72,18 @@ def test_points_and_boxes_stay_on_what_they_mark(data, tmp_path):
 def test_a_clip_through_a_lens_with_distortion_is_only_cut(data, tmp_path):
     write_camera(data / 'points' / 'camera.yaml',
                  replace(CAMERA, distortion=np.array([-0.3, 0.1, 0, 0, 0])))
-    assert [case.name for case in altered(data, tmp_path, 'points')] == [
+    assert [case.name for case in made(data, tmp_path, 'points')] == [
         'points, cut/mpeg2.mp4', 'points, cut/h264_lowlatency.mp4']
 
 
 def test_what_else_is_known_of_a_clip_is_left_out(data, tmp_path):
     (data / 'boxes' / 'ground_truth.tum').write_text('')
-    assert all(case.ground_truth is None for case in altered(data, tmp_path, 'boxes'))
+    assert all(case.ground_truth is None for case in made(data, tmp_path, 'boxes'))
 
 
 def test_the_ray_of_a_pixel_stays_but_for_its_side(data, tmp_path):
     ray = (SPOT - CAMERA.K[:2, 2]) / np.diag(CAMERA.K)[:2]
-    for case in altered(data, tmp_path, 'points'):
+    for case in made(data, tmp_path, 'points'):
         x = read_arrays(case.labels, ('tracks',))['tracks'][0, 0]
         side = -1 if 'mirrored' in case.name else 1
         np.testing.assert_allclose((x - case.camera.K[:2, 2]) / np.diag(CAMERA.K)[:2],
@@ -85,6 +91,6 @@ def test_the_ray_of_a_pixel_stays_but_for_its_side(data, tmp_path):
 
 
 def test_what_is_cut_off_is_not_visible(data, tmp_path):
-    for case in altered(data, tmp_path, 'points'):
+    for case in made(data, tmp_path, 'points'):
         visible = read_arrays(case.labels, ('visible',))['visible'][1, 0]
         assert visible == ('mirrored' in case.name)

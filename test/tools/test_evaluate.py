@@ -20,7 +20,8 @@ CAMERA = Camera(256, 192, np.array([[200.0, 0, 127.5], [0, 200.0, 95.5], [0, 0, 
 def test_a_street_gives_a_row_for_each_encoding_with_its_errors(tmp_path):
     output = tmp_path / 'results.md'
     code = evaluate.main(['--data', str(tmp_path / 'none'), '--streets', '1', '--frames', '24',
-                          '--only', 'street', '-o', str(output)])
+                          '--only', 'street', '-o', str(output), '--jobs', '1',
+                          '--cache', str(tmp_path / 'cache')])
     lines = output.read_text().splitlines()
     middle = lines.index('## Moving obstacles')
     rows = [line for line in lines[:middle] if line.startswith('| street 0')]
@@ -35,9 +36,38 @@ def test_a_street_gives_a_row_for_each_encoding_with_its_errors(tmp_path):
 
 
 def test_an_encoding_alone_is_rendered_for_each_kind_of_street(tmp_path):
-    found = list(cases.streets(tmp_path, 1, 4, only='mpeg2'))
-    assert [case.name for case in found] == [f'{kind} 0/mpeg2.mpg' for kind in cases.TRAFFIC]
-    assert all(case.video.exists() for case in found)
+    scenes = cases.streets(1, 4)
+    assert [scene.name for scene in scenes] == [f'{kind} 0' for kind in cases.TRAFFIC]
+    case, = scenes[0].make(tmp_path, 'mpeg2')
+    assert (case.name, case.video.exists()) == ('street 0/mpeg2.mpg', True)
+    assert not list(scenes[1].make(tmp_path, 'street'))
+
+
+def test_what_is_rendered_is_not_rendered_again(tmp_path, monkeypatch):
+    scene = cases.streets(1, 4)[0]
+    case, = scene.make(tmp_path, 'mpeg2')
+    case.video.write_bytes(b'kept')
+    monkeypatch.setattr(cases, 'film', None)
+    assert next(scene.make(tmp_path, 'mpeg2')).video.read_bytes() == b'kept'
+
+
+def test_scenes_of_other_content_differ(tmp_path):
+    short, long = cases.streets(1, 4)[0], cases.streets(1, 5)[0]
+    assert short.content == cases.streets(1, 4)[0].content != long.content
+
+
+def test_noise_changes_the_pictures_and_not_the_truth(tmp_path):
+    street = cases.streets(1, 4)[0]
+    again, = cases.grainy(tmp_path, [street])
+    (tmp_path / 'again').mkdir()
+    plain, = street.make(tmp_path, 'mpeg2')
+    noisy, = again.make(tmp_path / 'again', 'mpeg2')
+    assert noisy.name == 'street 0, noise/mpeg2.mpg'
+    poses = [read_trajectory(case.ground_truth / 'ground_truth.tum').positions
+             for case in (plain, noisy)]
+    np.testing.assert_array_equal(*poses)
+    given, seen = (next(pictures(case.video)).astype(int) for case in (plain, noisy))
+    assert 0.3 < np.std(given - seen) < 3
 
 
 def test_a_refusal_is_a_row_that_says_why():
@@ -49,10 +79,14 @@ def test_a_refusal_is_a_row_that_says_why():
 def test_a_flight_comes_with_its_poses_and_the_lens(tmp_path, monkeypatch):
     lens, settings = cases.FLIGHTS['flight, fisheye']
     monkeypatch.setitem(cases.FLIGHTS, 'flight, fisheye', (lens, replace(settings, n_frames=3)))
-    case, = cases.flights(tmp_path, 'fisheye/mpeg2')
+    case, = (case for scene in cases.flights() for case in scene.make(tmp_path, 'fisheye/mpeg2'))
     assert case.camera is FISHEYE
     assert len(read_trajectory(case.ground_truth / 'ground_truth.tum')) == 3
     assert len(list(pictures(case.video))) == 3
+
+
+def made(scenes, folder):
+    return [case for scene in scenes for case in scene.make(folder, '')]
 
 
 @pytest.fixture
@@ -63,21 +97,23 @@ def data(tmp_path):
     images = np.random.default_rng(0).integers(0, 256, (40, 192, 256), np.uint8)
     write_video(folder / 'h264_lowlatency.mp4', images, 10.0, LOW_LATENCY)
     write_camera(folder / 'camera.yaml', CAMERA)
-    (folder / 'ground_truth.tum').write_text('')
+    write_poses(folder / 'ground_truth.tum', [
+        (i * 10**8, np.eye(3), np.array([0.0, 0.0, 0.5 * i])) for i in range(40)])
     return folder.parent
 
 
 def test_clips_with_known_movers_come_altered_too(data, tmp_path):
     folder = (data / 'kitti00').rename(data / 'clip')
     (folder / 'boxes.csv').write_text('frame,x,y,width,height\n1,10,10,20,20\n')
-    options = SimpleNamespace(data=data, only='clip, cut/mpeg2', streets=0, frames=0)
-    names = [case.name for case in evaluate.all_cases(options, tmp_path)]
-    assert names == ['clip/h264_lowlatency.mp4', 'clip, cut/mpeg2.mp4']
+    options = SimpleNamespace(data=data, streets=0, frames=0)
+    names = [case.name for scene in evaluate.all_scenes(options)
+             for case in scene.make(tmp_path, 'clip, cut/mpeg2')]
+    assert names == ['clip, cut/mpeg2.mp4']
 
 
 def test_a_sequence_is_encoded_anew_with_fewer_bits_and_with_fewer_pictures(data, tmp_path):
     sizes = {}
-    for case in cases.recoded(data, tmp_path):
+    for case in made(cases.recoded(data), tmp_path):
         with open_source(case.video) as source:
             packets = list(source.packets())
         assert len(packets) == (20 if '5 Hz' in case.name else 40)
@@ -90,7 +126,8 @@ def test_a_sequence_is_encoded_anew_with_fewer_bits_and_with_fewer_pictures(data
 
 def test_lost_packets_leave_a_gap_in_the_stamps(data, tmp_path, monkeypatch):
     monkeypatch.setattr(cases, 'LOST', range(10, 30))
-    metric, free = cases.lossy(data, tmp_path)
+    metric, told, free = made(cases.lossy(data), tmp_path)
+    assert told.speeds
     assert (metric.height, free.height) == (1.65, 0.0)
     with open_source(metric.video) as source:
         stamps = [packet.stamp for packet in source.packets()]
@@ -115,6 +152,6 @@ def test_a_video_without_a_calibration_gets_a_guessed_one(tmp_path):
     folder = tmp_path / 'original_codec'
     folder.mkdir()
     write_video(folder / 'a.mp4', np.zeros((3, 96, 128), np.uint8), 10.0, LOW_LATENCY)
-    case, = cases.cameraless(tmp_path)
+    case, = made(cases.cameraless(tmp_path), tmp_path)
     np.testing.assert_allclose(case.camera.K[:2], [[102.4, 0, 63.5], [0, 102.4, 47.5]])
     assert case.ground_truth is None

@@ -7,14 +7,14 @@ the pairs before say of the baseline tells of the turn, too.
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
-from mv_slapse.geometry import epipolar, rotation, two_view
+from mv_slapse.geometry import rotation, two_view
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import CameraMotion, Extraction
 from mv_slapse.scene.gating import RATIO_GATE
-from mv_slapse.scene.observations import Observation, Observe
+from mv_slapse.scene.observations import Kind, Observation
 from mv_slapse.scene.state import (
     log_baseline,
     relative_motion,
@@ -65,19 +65,14 @@ class Depths:
 def depths_of(pair: two_view.Pair, motion: CameraMotion, settings: SceneSettings) -> Depths:
     """Return what the stationary blocks of a pair (N,) tell, none more than its relief lets it."""
     R, t = motion.R_cur_from_prev, motion.t_cur_from_prev
-    rho, J = epipolar.inverse_depth_jacobian(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
-    sigma = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)[1] * pair.sigma
-    sure = sigma < MAX_SPREAD * rho
-    slope = np.zeros(6)
-    if sure.any():
-        weight = 1 / (np.square(sigma[sure] / rho[sure]) + settings.relief**2)
-        slope = weight @ (J[sure] / rho[sure, None]) / weight.sum()
+    slope = compiled.depth_slope(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, R, t,
+                                 MAX_SPREAD, settings.relief)
     slope[3:] -= t * (t @ slope[3:])
     return Depths(R, t, slope, float(slope @ motion.covariance @ slope) * settings.dependence)
 
 
 def told(state: SceneState, extraction: Extraction, depths: Depths,
-         settings: SceneSettings) -> list[Observe]:
+         settings: SceneSettings) -> list[Observation]:
     """Move the scale of the depths by a pair's ratio; return what it tells of the baseline.
 
     Nothing where the ratio contradicts the prediction: vectors that are wrong in bulk agree in
@@ -89,7 +84,7 @@ def told(state: SceneState, extraction: Extraction, depths: Depths,
                                            + depths.variance))):
         return []
     move(state, log, sigma)
-    return [partial(observed, depths=depths, sigma=settings.ratio_sigma)]
+    return [observed(depths, settings.ratio_sigma)]
 
 
 def holds(state: SceneState, log_ratio: float, sigma: float) -> bool:
@@ -108,7 +103,7 @@ def holds(state: SceneState, log_ratio: float, sigma: float) -> bool:
     return bool((value - state.depth_scale - log_ratio)**2 < RATIO_GATE * variance < np.inf)
 
 
-def observed(state: SceneState, depths: Depths, sigma: float) -> Observation:
+def observed(depths: Depths, sigma: float) -> Observation:
     """Observe the log of the baseline, by the scale of the depths.
 
     The depths of the pair before have a common error, which a ratio holds with the opposite sign
@@ -116,12 +111,8 @@ def observed(state: SceneState, depths: Depths, sigma: float) -> Observation:
     the ratio (see move), and the baseline equals it but for the pair's own common error, ``sigma``
     as a share.
     """
-    value, H = log_baseline(state)
-    change, by_state = depths.change(state)
-    H = by_state - H
-    H[state.at('depth_scale')] = 1
-    return Observation(np.array([value - state.depth_scale - change]), H[None],
-                       np.eye(1) * sigma**2)
+    return Observation(Kind.DEPTH_RATIO, sigma,
+                       depths=np.concatenate([depths.R.ravel(), depths.t, depths.slope]))
 
 
 def begin(state: SceneState, depths: Depths, sigma: float) -> bool:
@@ -136,11 +127,8 @@ def begin(state: SceneState, depths: Depths, sigma: float) -> bool:
     if H @ state.P @ H > VAGUE**2:
         state.error.P[at], state.error.P[:, at], state.error.lasting[at] = 0, 0, 0
         return False
-    F = np.eye(state.size)
-    F[at] = H - by_state
-    Q = np.zeros_like(F)
-    Q[at, at] = sigma**2
-    ekf.predict(state.error, state.error.mu, F, Q)
+    ekf.predict_rows(state.error, np.array([at.start]), (H - by_state)[None],
+                     np.eye(1) * sigma**2)
     return True
 
 

@@ -12,7 +12,7 @@ from mv_slapse.filters import ekf
 from mv_slapse.records import CameraMotion, Extraction
 from mv_slapse.scene import observations as scene_observations
 from mv_slapse.scene.noise import HeightWander
-from mv_slapse.scene.observations import Observe
+from mv_slapse.scene.observations import Observation
 from mv_slapse.scene.state import HEIGHT, N_LASTING, plane_in_camera, relative_motion, SceneState
 import numpy as np
 
@@ -68,7 +68,7 @@ class Ride:
                        for sight in self.sights)
         return replace(self, height=self.height * factor, sights=sights)
 
-    def observations(self, ground: int, settings: SceneSettings) -> list[Observe]:
+    def observations(self, ground: int, settings: SceneSettings) -> list[Observation]:
         """Return what is known of a camera that rides above a plane of the map, if it does."""
         known, lasting = self.known(settings), self.error.copy()
         if not known.camera_height:

@@ -1,12 +1,11 @@
 """What a given speed tells the scene filter: how far the camera went between two key frames."""
 
-from functools import partial
 from typing import NamedTuple
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.scene import gating as scene_gate
 from mv_slapse.scene import observations as scene_observations
-from mv_slapse.scene.observations import Observe
+from mv_slapse.scene.observations import Observation
 from mv_slapse.scene.progress import Progress
 from mv_slapse.scene.scale.speed_log import SpeedLog
 from mv_slapse.scene.state import SceneState
@@ -58,7 +57,6 @@ def distance(log: SpeedLog, start: int, end: int, turn: float,
     return Way(length, float(sigma)) if sigma < FAINT else None
 
 
-def observed(way: Way, settings: SceneSettings) -> Observe:
+def observed(way: Way, settings: SceneSettings) -> Observation:
     """Return the observation of a way."""
-    return partial(scene_observations.baseline, length=way.length, sigma=way.sigma,
-                   lasting=settings.speed_bias)
+    return scene_observations.baseline(way.length, way.sigma, settings.speed_bias)

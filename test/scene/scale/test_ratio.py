@@ -9,6 +9,7 @@ from mv_slapse.geometry import epipolar, rotation, two_view
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import CameraMotion, MotionStatus
 from mv_slapse.scene import state as scene_state
+from mv_slapse.scene.observations import linearised
 from mv_slapse.scene.scale import ratio as scene_ratio
 from mv_slapse.scene.state import Pose
 from numeric import jacobian
@@ -36,13 +37,14 @@ def state(rng):
 
 def test_the_jacobian_is_the_numerical_one_of_the_innovation(state, rng):
     depths = depths_with(rng.normal(size=6), state)
-    observation = scene_ratio.observed(state, depths, 0.006)
-    numerical = -jacobian(lambda e: scene_ratio.observed(state.moved(e), depths, 0.006).innovation,
+    observation = scene_ratio.observed(depths, 0.006)
+    at_state = linearised(observation, state)
+    numerical = -jacobian(lambda e: linearised(observation, state.moved(e)).innovation,
                           np.zeros(state.size))
-    np.testing.assert_allclose(observation.H, numerical, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(at_state.H, numerical, rtol=1e-5, atol=1e-7)
     value, _ = scene_state.log_baseline(state)
-    np.testing.assert_allclose(observation.innovation, [value - 0.3])
-    assert observation.noise.item() == pytest.approx(0.006**2)
+    np.testing.assert_allclose(at_state.innovation, [value - 0.3])
+    assert observation.sigma == 0.006
 
 
 def test_a_motion_that_errs_makes_depths_wrong_by_what_their_slope_says():

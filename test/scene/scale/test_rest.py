@@ -136,5 +136,5 @@ def test_before_the_ground_is_seen_the_unit_is_what_it_would_tell():
     assert np.linalg.norm(estimate.t_world_from_cam) == pytest.approx(0.1 * SPEED, rel=0.05)
     assert estimate.scale_status is ScaleStatus.UNKNOWN
     above = bare.x_cur[:, 1] < bare.K[1, 2]
-    none = replace(bare, label=np.where(above, bare.label, Label.UNKNOWN))
+    none = replace(bare, label=np.where(above, bare.label, Label.UNKNOWN).astype(np.int8))
     assert scene_rest.supposed_baseline(none, HEIGHT) == 0

@@ -123,7 +123,8 @@ def test_what_is_not_known_of_the_height_is_an_error_that_lasts(rng):
     assert error[scene_state.HEIGHT] == pytest.approx(sigma)
     # The height that is observed errs as the state does: nothing is learned, nothing moves.
     ride = Ride(height, error)
-    after = scene_update.observe(deepcopy(state), ride.observations(GROUND, FREE)[:1], 3)
+    after = scene_update.observe(deepcopy(state), ride.observations(GROUND, FREE)[:1],
+                                 replace(FREE, iterations=3))
     np.testing.assert_allclose(after.error.lasting @ after.error.lasting.T,
                                state.error.lasting @ state.error.lasting.T, rtol=0.1, atol=1e-6)
     ekf.estimate_again(state.error, scene_state.HEIGHT.start)

@@ -1,0 +1,432 @@
+"""The rules of the core that can be switched off, one at a time: a table for ``ablation.py``.
+
+A rule is switched off by neutral functions in place of some of the core's, by other values of
+constants, or by settings. ``mv_slapse.a.b:name`` is the name ``name`` of the module
+``mv_slapse.a.b``, ``mv_slapse.a.b:Class.name`` a method. A function is replaced wherever it was
+imported.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib import import_module
+import inspect
+import sys
+from typing import Any
+
+from mv_slapse.tools import rows
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule of the core.
+
+    Attributes
+    ----------
+    name, what : str
+        What it does in one sentence.
+    off : dict of str to anything
+        By the place of what is replaced: a function of the original that returns what takes its
+        place.
+    settings : dict of str to anything
+        By the name of a setting (``scene.iterations``): its value.
+    """
+
+    name: str
+    what: str
+    off: dict[str, Callable[[Any], Any]] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def content(self) -> str:
+        """How it is switched off, as text: what was measured otherwise is measured anew."""
+        return str([(path, _text(new)) for path, new in self.off.items()]) + str(self.settings)
+
+
+def place(path: str) -> tuple[Any, str]:
+    """Return the module or class that holds a name, and that name."""
+    module, _, name = path.partition(':')
+    *holders, name = name.split('.')
+    holder = import_module(module)
+    for part in holders:
+        holder = getattr(holder, part)
+    return holder, name
+
+
+def switch_off(name: str):
+    """Switch a rule off in this process, for good."""
+    rule = BY_NAME[name]
+    for path, new in rule.off.items():
+        holder, attribute = place(path)
+        old = inspect.getattr_static(holder, attribute)
+        value = new(old)
+        setattr(holder, attribute, value)
+        if inspect.isfunction(old) and inspect.ismodule(holder):
+            for module in [module for name, module in sys.modules.items()
+                           if name.startswith('mv_slapse')]:
+                for known in [known for known, item in vars(module).items() if item is old]:
+                    setattr(module, known, value)
+    rows.measure = partial(_measured_or_failed, rows.measure)
+    if rule.settings:
+        rows.settings_of = partial(with_settings, rows.settings_of, rule.settings)
+
+
+def _measured_or_failed(measure: Callable, *args: Any) -> dict[str, Any]:
+    """Return the figures of a row; without a rule the core may fail in any way."""
+    try:
+        return measure(*args)
+    except Exception as error:
+        return {'error': repr(error)}
+
+
+def with_settings(make: Callable, values: dict[str, Any], case: Any) -> Any:
+    """Return the settings that a function makes, with other values of some."""
+    settings = make(case)
+    for path, value in values.items():
+        part, _, name = path.partition('.')
+        settings = replace(settings, **{part: replace(getattr(settings, part), **{name: value})})
+    return settings
+
+
+def gives(function: Callable) -> Callable[[Any], Any]:
+    """Return what puts a function in the place of another."""
+    return _Gives(function)
+
+
+def value(new: Any) -> Callable[[Any], Any]:
+    """Return what puts a value in the place of a constant."""
+    return _Gives(new)
+
+
+class _Gives:
+    """Takes the place of anything; knows by what."""
+
+    def __init__(self, new: Any):
+        self.new = new
+
+    def __call__(self, old: Any) -> Any:
+        return self.new
+
+
+def _text(new: Any) -> str:
+    new = new.new if isinstance(new, _Gives) else new
+    if not inspect.isfunction(new):
+        return repr(new)
+    code, inside = new.__code__, [cell.cell_contents for cell in new.__closure__ or ()]
+    consts = [item for item in code.co_consts if not inspect.iscode(item)]
+    return str((new.__name__, code.co_code.hex(), consts, code.co_names, inside))
+
+
+def _no_blocks(first, *_args, **_named):
+    """Return no block of as many as the first argument has."""
+    return np.zeros(len(first), bool)
+
+
+def _only_votes(self, extraction, correspondences):
+    """Label macroblocks by their own vectors alone."""
+    from mv_slapse.movers.macroblocks import vote
+    label, plane = vote(extraction, correspondences.x_cur)
+    return replace(extraction, macroblock_label=label, macroblock_plane=plane)
+
+
+def _without_past(self, extraction):
+    """Return what is inherited where nothing is known."""
+    n = len(extraction.x_cur)
+    return np.full(n, np.nan), np.full(n, np.nan), np.full(n, -1)
+
+
+def _no_departure(past, extraction, *_args):
+    """Return that no block has left."""
+    return np.zeros(len(extraction.x_cur))
+
+
+def _keep_ratio(old):
+    """Return the first ratio of a pair whenever it is asked for."""
+    def first(self, blank, *args):
+        """Compare the baselines once."""
+        known = self.__dict__.get('_first_ratio')
+        if known is None or known[0] != blank.stamp:
+            known = self._first_ratio = blank.stamp, old(self, blank, *args)
+        return known[1]
+
+    return first
+
+
+def _keep_evidence(old):
+    """Return a refinement after which blocks are not judged again."""
+    def refined(self, pair, found, prior):
+        """Refine, and keep what was judged before."""
+        return replace(old(self, pair, found, prior), evidence=found.evidence)
+
+    return refined
+
+
+def _steps(number):
+    """Return what makes an iteration end after so many steps."""
+    def limited(old):
+        """Return the function with fewer steps."""
+        def function(*args, **named):
+            """Call it with fewer steps."""
+            return old(*args, **(named | {'steps': number}))
+
+        return function
+
+    return limited
+
+
+def _without_tall(old):
+    """Return the windows' members, none of tall ones."""
+    def members(cell, shape):
+        """Leave tall windows out."""
+        nothing = np.zeros(0, int)
+        return old(cell, shape) if shape[0] == shape[1] else (nothing, nothing)
+
+    return members
+
+
+def _without_road(old):
+    """Return a survey that finds no unsupported block on the road."""
+    def survey(*args, **named):
+        """Survey the ground without unsupported vectors."""
+        belief, prior, road = old(*args, **named)
+        return belief, prior, np.zeros_like(road)
+
+    return survey
+
+
+def _leave_at_once(self, state, extraction):
+    """Remove planes that move without handing them over."""
+    from mv_slapse.records import Label
+    for plane in extraction.planes:
+        if plane.label == Label.MOVING and plane.id in state.planes:
+            state.remove_plane(plane.id)
+            self.remove(plane.id)
+    return []
+
+
+def _prior_alone(self, *_args):
+    """Return it as it is."""
+    return self
+
+
+MOVERS = 'mv_slapse.movers.'
+SCORE = MOVERS + 'score:'
+REGIONS = MOVERS + 'regions:'
+SURFACES = 'mv_slapse.surfaces.'
+MOTION = 'mv_slapse.motion.'
+EXTRACTOR = 'mv_slapse.extraction.extractor:'
+SCENE = 'mv_slapse.scene.'
+OBSTACLES = 'mv_slapse.obstacles.'
+TRACKER = OBSTACLES + 'tracker:ObstacleTracker.'
+
+NOTHING = gives(lambda *_: None)
+YES, NO, ZERO = gives(lambda *_: True), gives(lambda *_: False), gives(lambda *_: 0.0)
+FIRST = gives(lambda first, *_: first)
+ITSELF = gives(_prior_alone)
+NO_BLOCKS = gives(_no_blocks)
+
+RULES = (
+    # Movers: the ones doubted most come first.
+    Rule('terrain', 'what looks farther than the road in one proportion is land, no mover',
+         {MOVERS + 'terrain:land_rather': gives(lambda rho, sigma, under, first:
+                                                np.zeros(len(first)))}),
+    Rule('body', 'blocks that only together look farther than the ground are a mover',
+         {MOVERS + 'body:with_bodies': FIRST}),
+    Rule('upright', 'blocks of bodies tell nothing of the ground\'s height',
+         {SURFACES + 'upright:on_bodies': gives(lambda depths, drop, known:
+                                                np.zeros(len(drop), bool))}),
+    Rule('unsupported below regions', 'vectors that no neighbour supports tell of the ground '
+         'below a region', {MOVERS + 'unsupported:with_lone': FIRST}),
+    Rule('possibly dynamic', 'blocks that may be a mover\'s do not count for the motion: all '
+         'three ways', {MOVERS + 'possibly_dynamic:like_movers':
+                        gives(lambda shown: np.zeros(len(shown.x_cur), bool)),
+                        MOVERS + 'possibly_dynamic:below': NO_BLOCKS,
+                        MOVERS + 'possibly_dynamic:taken':
+                        gives(lambda grid, x_prev: np.zeros(len(x_prev), bool))}),
+    Rule('planar ambiguity', 'of the two motions that one plane allows the one with the scene '
+         'before the camera is taken',
+         {MOTION + 'planar_ambiguity:unfolded': gives(lambda pair, fit: fit)}),
+    Rule('height belief', 'the camera\'s height over the ground comes from all pairs so far',
+         {SURFACES + 'height:HeightBelief.seen': ITSELF}),
+    Rule('mover mask', 'macroblocks in a mover\'s outline are the mover\'s, over pairs',
+         {MOVERS + 'mask:Silhouettes.fill': gives(_only_votes)}),
+    Rule('reference depth', 'what is farther than all that was seen there a while ago departs',
+         {MOVERS + 'reference_depth:departure': gives(_no_departure)}),
+    Rule('like movers', 'blocks around a mover that move as it does do not count for the motion',
+         {MOVERS + 'possibly_dynamic:like_movers':
+          gives(lambda shown: np.zeros(len(shown.x_cur), bool))}),
+    Rule('below the ground', 'nor do blocks that look farther than the ground they hide',
+         {MOVERS + 'possibly_dynamic:below': NO_BLOCKS}),
+    Rule('last pair\'s movers', 'nor do blocks from where the last pair showed a mover',
+         {MOVERS + 'possibly_dynamic:taken':
+          gives(lambda grid, x_prev: np.zeros(len(x_prev), bool))}),
+    Rule('unsupported on the road', 'unsupported vectors on the known ground are part of it',
+         {SURFACES + 'ground:survey': _without_road}),
+    Rule('score over pairs', 'a region\'s score and name pass from pair to pair',
+         {MOVERS + 'identity:Memory.inherited': gives(_without_past)}),
+    Rule('memory without vectors', 'a block\'s history goes on where it has no vector',
+         {MOVERS + 'identity:LIFETIME': value(1)}),
+    Rule('given up later', 'a mover is given up at half the score at which it was found',
+         {MOVERS + 'regions:KEPT': value(1.0)}),
+    Rule('name of a plane', 'a region that was a stationary plane keeps its name',
+         {REGIONS + '_covered': gives(lambda members, extraction: np.full(len(members), -1))}),
+    Rule('bridges', 'blocks as far as the ground between rows of a mover join them',
+         {REGIONS + '_bridges': gives(lambda motion_field, a, b:
+                                      np.zeros(len(motion_field.x), bool))}),
+    Rule('own growth', 'before a standing camera what comes near may grow',
+         {REGIONS + 'GROWTH': value(0.0)}),
+    Rule('grown movers', 'blocks around a mover that move with it join it',
+         {REGIONS + '_grown': gives(lambda extraction, motion_field, moving:
+                                    [member for member, *_ in moving])}),
+    Rule('copied vectors', 'wrong vectors that repeat their neighbours deserve less belief',
+         {REGIONS + '_copied': gives(lambda extraction:
+                                     np.zeros(len(extraction.label), bool))}),
+    Rule('credibility', 'a score is bounded by how many vectors around are copies',
+         {SCORE + '_credible': gives(lambda outline, at, seen: np.full(len(at), np.inf))}),
+    Rule('hovering', 'what looks nearer than the ground seen below it hovers, so it moves',
+         {SCORE + '_may_hover': gives(lambda outline: np.zeros(len(outline.drop), bool))}),
+    Rule('body above', 'a low region counts only if something goes on above it',
+         {SCORE + '_body_above': gives(lambda *_: np.inf)}),
+    Rule('ground below', 'what a region would hide must not be seen below it',
+         {SCORE + '_ground_below': gives(lambda *_: np.inf)}),
+    Rule('vehicle size', 'what is larger than a vehicle is a building',
+         {SCORE + '_may_be_vehicle': gives(lambda outline: np.ones(len(outline.drop), bool))}),
+    Rule('scattered', 'a region that fills little of its box does not move',
+         {SCORE + 'LEAST_FILLED': value(0.0)}),
+    Rule('above the horizon', 'what ends above the horizon does not move',
+         {SCORE + 'LEAST_DROP': value(-np.inf)}),
+    Rule('rising departures', 'what departs must rise from the road',
+         {REGIONS + 'RISING': value((0.0, 0))}),
+    Rule('guessed ground', 'where no ground is seen a vague height bounds it for movers',
+         {SURFACES + 'ground:GUESSED': value(-1.0)}),
+    # Motion and extraction.
+    Rule('second ratio', 'the baselines are compared again after the refinement',
+         {EXTRACTOR + 'PlaneExtractor._ratio': _keep_ratio}),
+    Rule('second evidence', 'blocks are judged again after the refinement',
+         {EXTRACTOR + 'PlaneExtractor._refined': _keep_evidence}),
+    Rule('joint refinement', 'motion and planes are estimated again together',
+         {SURFACES + 'joint:reestimate': _steps(0)}),
+    Rule('refinement beyond 2 steps', 'of four', {SURFACES + 'joint:reestimate': _steps(2)}),
+    Rule('measured noise', 'the scale of the vectors\' errors is measured',
+         {MOTION + 'estimate:calibrated': gives(lambda pair, fit, noise: 1.0)}),
+    Rule('five points', 'where the last motion does not fit five points give another',
+         {EXTRACTOR + 'PREDICTED_COST': value(np.inf)}),
+    Rule('turn on the spot', 'a pair without parallax may be a rotation',
+         {MOTION + 'observations:may_turn': NO}),
+    Rule('standstill', 'zero vectors everywhere mean that the camera stands',
+         {MOTION + 'status:stands_still': NO}),
+    # Surfaces.
+    Rule('depths of earlier pairs', 'inverse depths are carried from pair to pair for planes',
+         {SURFACES + 'depth_grid:joined': FIRST}),
+    Rule('mounting learned', 'the ground\'s normal is learned from the courses',
+         {SURFACES + 'ground:Mount.learned': ITSELF}),
+    Rule('height informs the ground', 'the ground is looked for at the height of many pairs',
+         {SURFACES + 'ground:GroundPrior.informed': ITSELF}),
+    Rule('height forbids a ground', 'a ground at another height than many pairs show is none',
+         {SURFACES + 'height:HeightBelief.allows': YES}),
+    Rule('corridor', 'the ground is looked for near the camera\'s way',
+         {SURFACES + 'ground:CORRIDOR': value(1e9)}),
+    Rule('blocks below speak', 'a known ground with much alike below it is none',
+         {SURFACES + 'ground:_most_alike': gives(lambda values: 0)}),
+    Rule('upright walls', 'planes that may be upright are upright',
+         {SURFACES + 'windows:upright': gives(lambda planes, covariance, up:
+                                              (planes, covariance))}),
+    Rule('tall windows', 'windows of three columns see narrow walls',
+         {SURFACES + 'windows:_members': _without_tall}),
+    Rule('windows grown once', 'windows settle in three steps on their surfaces',
+         {SURFACES + 'windows:grown': _steps(1)}),
+    Rule('density', 'a plane fills its outline',
+         {SURFACES + 'plane_search:_density': gives(lambda x, member: 1.0)}),
+    Rule('windows\' noise', 'windows tell how large the errors are',
+         {SURFACES + 'windows:_noise': gives(lambda squared: 1.0)}),
+    Rule('planes recognised', 'a plane that comes back into view has its name again',
+         {SURFACES + 'plane_track:recognised': NOTHING}),
+    Rule('planes missed', 'a plane that a pair does not show is kept',
+         {SURFACES + 'plane_track:KnownPlane.unseen': NOTHING}),
+    # Scene filter.
+    Rule('ratio of baselines', 'the scale passes from pair to pair by their depths',
+         {SCENE + 'scale.ratio:told': gives(lambda *_: [])}),
+    Rule('ratio against prediction', 'a ratio that contradicts the speed does not count',
+         {SCENE + 'scale.ratio:holds': gives(lambda state, log, sigma:
+                                             bool(np.isfinite(sigma)))}),
+    Rule('ride', 'the height of a camera that keeps to the ground stays, known or not',
+         {SCENE + 'scale.ride:Ride._judged': ITSELF}),
+    Rule('first baseline after a rest', 'a plane or the height tells it',
+         {SCENE + 'scale.rest:first_baseline': ZERO}),
+    Rule('supposed baseline', 'before any ground is seen most of what is low is ground',
+         {SCENE + 'scale.rest:supposed_baseline': ZERO}),
+    Rule('wheels that slip', 'a speed that contradicts the way does not count',
+         {SCENE + 'gating:holds_length': YES}),
+    Rule('new frame', 'a heading that is lost begins a new local frame',
+         {SCENE + 'gauge:is_vague': NO}),
+    Rule('agreement', 'the gate of planes is as wide as planes seen again show',
+         {SCENE + 'noise:Agreement.seen': ITSELF}),
+    Rule('dependence', 'how far neighbouring vectors err together is measured',
+         {SCENE + 'noise:Dependence.seen': ITSELF}),
+    Rule('wandering height', 'a height that wanders has a lasting error',
+         {SCENE + 'noise:HeightWander.seen': ITSELF}),
+    Rule('beside movers', 'blocks on no plane beside a mover do not count',
+         {SCENE + 'input:_beside_movers': gives(lambda extraction:
+                                                np.zeros(len(extraction.x_cur), bool))}),
+    Rule('still surroundings', 'a block on no plane counts where most around it is still',
+         {SCENE + 'input:_share_around': gives(lambda extraction, still: np.ones(len(still)))}),
+    Rule('patience', 'a plane must contradict the map for a while',
+         {SCENE + 'filter:PATIENCE': value(0)}),
+    Rule('walls out of view', 'well seen walls stay in the filter',
+         {SCENE + 'plane_map:SceneMap.is_lasting': NO}),
+    Rule('iterations beyond 2', 'an update is relinearised four times', {},
+         {'scene.iterations': 2}),
+    Rule('place in the block', 'vectors may tell of a place beside their block\'s middle', {},
+         {'scene.place_bias': 0.0}),
+    Rule('focal error', 'the focal length may be wrong by a per cent', {},
+         {'scene.focal_sigma': 0.0}),
+    Rule('bias of depth', 'the depth of a whole surface errs in one pair', {},
+         {'scene.depth_bias': 0.0}),
+    # Obstacles and hand-over.
+    Rule('hand-over to obstacles', 'a plane of the map that moves starts as an obstacle there',
+         {SCENE + 'plane_map:SceneMap.release': gives(_leave_at_once)}),
+    Rule('hand-over to the map', 'an obstacle that stops becomes a plane of the map',
+         {TRACKER + '_has_stopped': NO}),
+    Rule('stops unseen', 'one that is not seen any more may have stopped',
+         {OBSTACLES + 'lifecycle:melts_into_scene': NO}),
+    Rule('redetection', 'an obstacle\'s vectors are looked for where it must be',
+         {OBSTACLES + 'redetection:found': NOTHING}),
+    Rule('footprint', 'cars side by side are wider than one vehicle',
+         {OBSTACLES + 'footprint:may_be_one': YES, OBSTACLES + 'footprint:stand_apart': NO}),
+    Rule('units', 'obstacles follow the map where it becomes metric',
+         {OBSTACLES + 'units:has_changed': NO}),
+    Rule('merging tracks', 'tracks of one vehicle become one', {TRACKER + '_merge': NOTHING}),
+    Rule('absorbing parts', 'a detection on an obstacle just seen is a part of it',
+         {TRACKER + '_absorb': gives(lambda self, free, stamp: free)}),
+    Rule('other face', 'at the picture\'s edge another face goes on as the obstacle',
+         {TRACKER + '_is_other_face': NO}),
+    Rule('expected places', 'two obstacles are not joined into one',
+         {OBSTACLES + 'association:_as_expected': YES}),
+    Rule('false starts', 'the more tracks fail the surer the next must be',
+         {TRACKER + '_count': NOTHING}),
+    Rule('alone', 'a lasting score tells of a body where no other obstacle is near',
+         {TRACKER + '_is_alone': NO}),
+    Rule('dissolving', 'a confirmed obstacle that is no body any more ends',
+         {OBSTACLES + 'lifecycle:dissolves': NO}),
+    Rule('may drive', 'an obstacle stands on the ground and is no building',
+         {TRACKER + '_may_drive': YES}),
+    Rule('unrest', 'a steady obstacle has little acceleration',
+         {OBSTACLES + 'track:Track._unrest': gives(lambda self: 1.0)}),
+    Rule('jumping outline', 'a detection whose outline jumps is believed less',
+         {OBSTACLES + 'track:_doubted': FIRST}),
+    Rule('correlated outlines', 'what is wrong alike in successive pairs is not averaged',
+         {OBSTACLES + 'track:_correlated': FIRST}),
+    Rule('depth by the ground', 'an obstacle\'s depth comes from the map\'s ground',
+         {OBSTACLES + 'detection:_on_ground': FIRST}),
+    # Decoder: switched off by settings, so that correspondences are decoded anew.
+    Rule('unsupported vectors', 'vectors that no neighbour supports are kept, less probable', {},
+         {'decoder.lone_probability': 0.0}),
+    Rule('expected motion', 'a vector near the motion of the pairs before is supported', {},
+         {'decoder.prior_votes': 0.0}),
+    Rule('bridging', 'macroblocks of an I frame are searched for in the past', {},
+         {'decoder.bridge_intra': False}),
+    Rule('halves', 'a long segment is split at its middle B frame', {},
+         {'decoder.split_flow': 1e6}),
+    Rule('chaining', 'pairs with little parallax are chained', {}, {'decoder.max_chain': 1}))
+BY_NAME = {rule.name: rule for rule in RULES}

@@ -1,0 +1,63 @@
+// Four blocks at a time: the same formulas as for one, in the vector registers that there are. The
+// lanes are summed in a fixed order, so that results are the same with registers of any width.
+
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstring>
+#include <vector>
+
+#include "small.hpp"
+
+// What passes four numbers is inlined, so that nobody can see how it passes them.
+#pragma GCC diagnostic ignored "-Wpsabi"
+
+namespace kernels {
+
+constexpr std::size_t LANES = 4;
+using Four = double __attribute__((vector_size(LANES * sizeof(double))));
+
+struct Four3 {  // four vectors of three
+  Four x, y, z;
+};
+
+#define KERNELS_INLINE inline __attribute__((always_inline))
+
+KERNELS_INLINE Four load(const double* from) {
+  Four out;
+  std::memcpy(&out, from, sizeof out);
+  return out;
+}
+KERNELS_INLINE void store(const Four& from, double* to) { std::memcpy(to, &from, sizeof from); }
+KERNELS_INLINE double sum(const Four& a) { return (a[0] + a[1]) + (a[2] + a[3]); }
+KERNELS_INLINE Four root(const Four& a) {
+  Four out;
+  for (std::size_t j = 0; j < LANES; ++j) out[j] = std::sqrt(a[j]);
+  return out;
+}
+KERNELS_INLINE Four at_least(const Four& a, double low) {
+  const Four bound = Four{} + low;
+  return a > bound ? a : bound;
+}
+KERNELS_INLINE Four dot(const Four3& a, const Four3& b) {
+  return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+KERNELS_INLINE Four dot(const Four3& a, const Vec3& b) {
+  return a.x * b[0] + a.y * b[1] + a.z * b[2];
+}
+KERNELS_INLINE Four3 cross(const Four3& a, const Four3& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+KERNELS_INLINE Four3 cross(const Four3& a, const Vec3& b) {
+  return {a.y * b[2] - a.z * b[1], a.z * b[0] - a.x * b[2], a.x * b[1] - a.y * b[0]};
+}
+KERNELS_INLINE Four3 operator*(const Mat3& A, const Four3& x) {
+  return {A[0] * x.x + A[1] * x.y + A[2] * x.z, A[3] * x.x + A[4] * x.y + A[5] * x.z,
+          A[6] * x.x + A[7] * x.y + A[8] * x.z};
+}
+KERNELS_INLINE Four3 operator*(const Four& s, const Four3& a) {
+  return {s * a.x, s * a.y, s * a.z};
+}
+
+}  // namespace kernels

@@ -1,0 +1,329 @@
+// What the scene filter takes from a pair's blocks, and what its map says of planes. See
+// scene/input.py, scene/noise.py, scene/scale/ratio.py and scene/plane_map.py.
+
+#include <algorithm>
+#include <cmath>
+
+#include "scene.hpp"
+#include "two_view_arguments.hpp"
+
+namespace kernels {
+
+namespace {
+
+constexpr int MACROBLOCK = 16;                      // px
+constexpr int AROUND = 5;                           // macroblocks across a window
+constexpr std::int8_t STATIONARY = 0, MOVING = 1, INFINITE = 2;  // labels of records.Label
+
+// Sums of values by macroblock, and of a window of AROUND macroblocks around each.
+class Grid {
+ public:
+  Grid(int columns, int rows) : columns_(columns), rows_(rows), value_(columns * rows) {}
+  double& at(int column, int row) { return value_[row * columns_ + column]; }
+  Grid around() const {
+    Grid across(columns_, rows_), out(columns_, rows_);
+    const int reach = AROUND / 2;
+    for (int r = 0; r < rows_; ++r)
+      for (int c = 0; c < columns_; ++c)
+        for (int k = std::max(c - reach, 0); k <= std::min(c + reach, columns_ - 1); ++k)
+          across.value_[r * columns_ + c] += value_[r * columns_ + k];
+    for (int r = 0; r < rows_; ++r)
+      for (int k = std::max(r - reach, 0); k <= std::min(r + reach, rows_ - 1); ++k)
+        for (int c = 0; c < columns_; ++c)
+          out.value_[r * columns_ + c] += across.value_[k * columns_ + c];
+    return out;
+  }
+
+ private:
+  int columns_, rows_;
+  std::vector<double> value_;
+};
+
+// The macroblock of each pixel, from the first; `shift` is where in its pixel a centre lies.
+struct Cells2 {
+  Cells2(const std::vector<double>& x, double shift) {
+    const int n = static_cast<int>(x.size() / 2);
+    int low[2] = {0, 0}, high[2] = {0, 0};
+    for (int i = 0; i < n; ++i)
+      for (int axis = 0; axis < 2; ++axis) {
+        const double scaled = (x[2 * i + axis] + shift) / MACROBLOCK;
+        const int k = static_cast<int>(std::floor(std::clamp(scaled, -1000.0, 1000.0)));
+        of.push_back(k);
+        low[axis] = i ? std::min(low[axis], k) : k;
+        high[axis] = i ? std::max(high[axis], k) : k;
+      }
+    for (int i = 0; i < 2 * n; ++i) of[i] -= low[i % 2];
+    columns = high[0] - low[0] + 1;
+    rows = high[1] - low[1] + 1;
+  }
+  std::vector<int> of;
+  int columns, rows;
+};
+
+// The stationary correspondences that count: rays_cur, rays_prev (M, 3), x_prev (M, 2), sigma,
+// plane_id (M,). On no plane a block counts only where it touches no mover and most vectors around
+// it are still.
+py::tuple stationary_blocks(const py::object& x_cur, const py::object& x_prev,
+                            const py::object& sigma, const py::object& label,
+                            const py::object& plane_id, const py::object& intrinsics) {
+  const char* kernel = "stationary_blocks";
+  const In<float> cur(kernel, "x_cur", x_cur, {ANY, 2}, Check::finite);
+  const auto n = cur.size();
+  const In<float> prev(kernel, "x_prev", x_prev, {n, 2}, Check::finite);
+  const In<float> noise(kernel, "sigma", sigma, {n}, Check::finite);
+  const In<std::int8_t> of(kernel, "label", label, {n});
+  const In<std::int32_t> plane(kernel, "plane_id", plane_id, {n});
+  const In<double> K(kernel, "K", intrinsics, {3, 3}, Check::finite);
+  std::vector<double> x(cur.data(), cur.data() + 2 * n);
+  const Cells2 cells(x, 0.5);
+  Grid all(cells.columns, cells.rows), still(cells.columns, cells.rows);
+  std::vector<char> moves((cells.columns + 2) * (cells.rows + 2), 0);
+  for (py::ssize_t i = 0; i < n; ++i) {
+    const int c = cells.of[2 * i], r = cells.of[2 * i + 1];
+    all.at(c, r) += 1;
+    still.at(c, r) += of[i] == STATIONARY || of[i] == INFINITE;
+    if (of[i] == MOVING)
+      for (int k = 0; k < 9; ++k) moves[(r + k / 3) * (cells.columns + 2) + c + k % 3] = 1;
+  }
+  Grid around = all.around(), agreeing = still.around();
+  std::vector<py::ssize_t> kept;
+  for (py::ssize_t i = 0; i < n; ++i) {
+    const int c = cells.of[2 * i], r = cells.of[2 * i + 1];
+    const bool stray = moves[(r + 1) * (cells.columns + 2) + c + 1] ||
+                       agreeing.at(c, r) < 0.5 * around.at(c, r);
+    if ((of[i] == STATIONARY || of[i] == INFINITE) && (plane[i] >= 0 || !stray)) kept.push_back(i);
+  }
+  const auto m = static_cast<py::ssize_t>(kept.size());
+  Out<double> rays_cur({m, 3}), rays_prev({m, 3}), before({m, 2}), spread({m});
+  Out<std::int32_t> ids({m});
+  const auto ray = [&](double u, double v, double* to) {
+    to[1] = (v - K(1, 2)) / K(1, 1);
+    to[0] = (u - K(0, 2)) / K(0, 0) - K(0, 1) / K(0, 0) * to[1];
+    to[2] = 1;
+  };
+  for (py::ssize_t i = 0; i < m; ++i) {
+    const auto k = kept[i];
+    ray(cur(k, 0), cur(k, 1), rays_cur.data() + 3 * i);
+    ray(prev(k, 0), prev(k, 1), rays_prev.data() + 3 * i);
+    before(i, 0) = prev(k, 0);
+    before(i, 1) = prev(k, 1);
+    spread[i] = noise[k];
+    ids[i] = plane[k];
+  }
+  return py::make_tuple(rays_cur.array(), rays_prev.array(), before.array(), spread.array(),
+                        ids.array());
+}
+
+// Variance of a mean of errors across epipolar lines over what independent ones would have: each is
+// weighed as the update weighs it, products with all errors in the window around add up.
+double error_dependence(const py::object& rays_cur, const py::object& rays_prev,
+                        const py::object& sigma, const py::object& x_prev, const py::object& focal,
+                        const py::object& R, const py::object& t, double width) {
+  const char* kernel = "error_dependence";
+  const PairArrays pair(kernel, rays_cur, rays_prev, sigma);
+  const auto n = static_cast<py::ssize_t>(pair.size());
+  const In<double> before(kernel, "x_prev", x_prev, {n, 2}, Check::finite);
+  require(n > 0 && width > 0, kernel, "there must be errors and a width");
+  const TwoView view = two_view(kernel, R, t, focal);
+  const Mat3 Rt = transposed(view.R);
+  std::vector<double> x(before.data(), before.data() + 2 * n), influence(n);
+  const Cells2 cells(x, 0.0);
+  Grid total(cells.columns, cells.rows);
+  double weights = 0, slopes = 0;
+  for (py::ssize_t i = 0; i < n; ++i) {
+    const Vec3 cur{pair.rays_cur(i, 0), pair.rays_cur(i, 1), pair.rays_cur(i, 2)};
+    const Vec3 prev{pair.rays_prev(i, 0), pair.rays_prev(i, 1), pair.rays_prev(i, 2)};
+    const Vec3 line = Rt * cross(cur, view.t);
+    const double length = std::max(std::hypot(line[0] / view.fx, line[1] / view.fy), 1e-12);
+    const double error = dot(prev, line) / length / pair.sigma[i];
+    const double share = error / width * (error / width), bounded = 1 / (1 + share);
+    const double weight = bounded * bounded;
+    influence[i] = weight * error;
+    weights += weight;
+    slopes += weight - 4 * share * bounded * weight;
+    total.at(cells.of[2 * i], cells.of[2 * i + 1]) += influence[i];
+  }
+  Grid around = total.around();
+  double variance = 0;
+  for (int r = 0; r < cells.rows; ++r)
+    for (int c = 0; c < cells.columns; ++c) variance += total.at(c, r) * around.at(c, r);
+  const double slope = std::max(slopes / n, 0.1);  // of errors mostly beyond the kernel
+  return variance / n * (weights / n) / (slope * slope);
+}
+
+// Derivative (6,) of the mean log of inverse depth by (w, t) of the pair's motion; zeros where no
+// depth is sure.
+py::array_t<double> depth_slope(const py::object& rays_cur, const py::object& rays_prev,
+                                const py::object& sigma, const py::object& focal,
+                                const py::object& R, const py::object& t, double max_spread,
+                                double relief) {
+  const char* kernel = "depth_slope";
+  const PairArrays pair(kernel, rays_cur, rays_prev, sigma);
+  const TwoView view = two_view(kernel, R, t, focal);
+  double sums[6] = {}, weights = 0;
+  for (std::size_t i = 0; i < pair.size(); ++i) {
+    const Vec3 turned = view.R * Vec3{pair.rays_prev(i, 0), pair.rays_prev(i, 1), 1};
+    const Vec3 y{turned[0] / turned[2], turned[1] / turned[2], 1};
+    const double gx = (view.t[0] - y[0] * view.t[2]) * view.fx;
+    const double gy = (view.t[1] - y[1] * view.t[2]) * view.fy;
+    const double square = std::max(gx * gx + gy * gy, 1e-18);
+    const double dx = (pair.rays_cur(i, 0) - y[0]) * view.fx;
+    const double dy = (pair.rays_cur(i, 1) - y[1]) * view.fy;
+    const double rho = (dx * gx + dy * gy) / square;
+    const double spread = std::abs(1 - rho * view.t[2]) / std::sqrt(square) * pair.sigma[i];
+    if (!(spread < max_spread * rho)) continue;
+    const double weight = 1 / (spread / rho * (spread / rho) + relief * relief);
+    // y moves by w x y, and back to z = 1; what a vector in the picture tells by y is v . dy.
+    const double bx = (dx - 2 * rho * gx) / square * view.fx;
+    const double by = (dy - 2 * rho * gy) / square * view.fy;
+    const double px = -gx / square * view.fx - bx * view.t[2];
+    const double py_ = -gy / square * view.fy - by * view.t[2];
+    const Vec3 by_y{px, py_, -(px * y[0] + py_ * y[1])}, by_w = cross(y, by_y);
+    const double row[6] = {by_w[0], by_w[1], by_w[2], bx, by, -(bx * y[0] + by * y[1])};
+    for (int k = 0; k < 6; ++k) sums[k] += weight * row[k] / rho;
+    weights += weight;
+  }
+  Out<double> out({6});
+  for (int k = 0; k < 6 && weights > 0; ++k) out[k] = sums[k] / weights;
+  return out.array();
+}
+
+// Normals (P, 3), depths (P,) and covariances (P, 4, 4) in {W} of the planes of a state, with what
+// the gauge (place, covariance (7, 7)) does to them.
+py::tuple planes_in_world(const py::object& planes, const py::object& anchors,
+                          const py::object& covariance, const py::object& errors,
+                          const py::object& place, const py::object& gauge) {
+  const char* kernel = "planes_in_world";
+  const In<double> plane(kernel, "planes", planes, {ANY, 3}, Check::finite);
+  const auto count = plane.size(), n = PLANES + 3 * count;
+  const In<double> anchor(kernel, "anchors", anchors, {count, 3}, Check::finite);
+  const In<double> P(kernel, "covariance", covariance, {n, n}, Check::finite);
+  const In<double> lasting(kernel, "lasting", errors, {n, N_LASTING}, Check::finite);
+  const In<double> at(kernel, "place", place, {3}, Check::finite);
+  const In<double> common(kernel, "gauge", gauge, {7, 7}, Check::finite);
+  Out<double> normals({count, 3}), depths({count}), out({count, 4, 4});
+  for (py::ssize_t k = 0; k < count; ++k) {
+    const Vec3 p{plane(k, 0), plane(k, 1), plane(k, 2)};
+    const Vec3 a{anchor(k, 0), anchor(k, 1), anchor(k, 2)};
+    const Vec3 offset = a - Vec3{at[0], at[1], at[2]};
+    // The gauge's turn, shift and growth move the anchor's surroundings; the anchor itself stays.
+    double J[3][7], S[3][3];
+    const Mat3 swing = skew(offset), turn = skew(p);
+    Vec3 moves{};
+    for (int j = 0; j < 3; ++j)
+      for (int i = 0; i < 3; ++i) moves[j] -= p[i] * swing[3 * i + j];
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) {
+        J[i][j] = p[i] * moves[j] - turn[3 * i + j];
+        J[i][3 + j] = p[i] * p[j];
+      }
+      J[i][6] = p[i] * dot(p, offset) - p[i];
+    }
+    const auto row = PLANES + 3 * k;
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) {
+        S[i][j] = P(row + i, row + j);
+        for (int l = 0; l < N_LASTING; ++l) S[i][j] += lasting(row + i, l) * lasting(row + j, l);
+        for (int l = 0; l < 7; ++l)
+          for (int m = 0; m < 7; ++m) S[i][j] += J[i][l] * common(l, m) * J[j][m];
+      }
+    // (normal, depth) by the plane; n X + d = 0 about the anchor is n X + (d - n anchor) = 0.
+    const double depth = 1 / norm(p);
+    const Vec3 normal = depth * p;
+    double N[4][3];
+    for (int j = 0; j < 3; ++j) {
+      N[3][j] = -depth * depth * normal[j];
+      for (int i = 0; i < 3; ++i) {
+        N[i][j] = depth * ((i == j) - normal[i] * normal[j]);
+        N[3][j] -= a[i] * N[i][j];
+      }
+      normals(k, j) = normal[j];
+    }
+    depths[k] = depth - dot(normal, a);
+    for (int i = 0; i < 4; ++i)
+      for (int j = 0; j < 4; ++j)
+        for (int l = 0; l < 3; ++l)
+          for (int m = 0; m < 3; ++m)
+            out.data()[16 * k + 4 * i + j] += N[i][l] * S[l][m] * N[j][m];
+  }
+  return py::make_tuple(normals.array(), depths.array(), out.array());
+}
+
+using Point = std::array<double, 2>;
+
+// Convex hull of points, counter-clockwise (Andrew's monotone chain).
+std::vector<Point> convex_hull(std::vector<Point> points) {
+  std::sort(points.begin(), points.end());
+  points.erase(std::unique(points.begin(), points.end()), points.end());
+  if (points.size() < 3) return points;
+  std::vector<Point> hull;
+  const auto turns_left = [&](const Point& c) {
+    const Point &a = hull[hull.size() - 2], &b = hull.back();
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0;
+  };
+  for (int side = 0; side < 2; ++side) {
+    const std::size_t first = hull.size();
+    for (const Point& point : points) {
+      while (hull.size() >= first + 2 && !turns_left(point)) hull.pop_back();
+      hull.push_back(point);
+    }
+    hull.pop_back();
+    std::reverse(points.begin(), points.end());
+  }
+  return hull;
+}
+
+// The convex outline (M, 3) in {W} of where the rays of a plane's blocks meet it and of an older
+// outline (L, 3). `pose` is R (9), t (3); blocks beyond `farthest` plane depths do not count.
+py::array_t<double> plane_outline(const py::object& x_cur, const py::object& plane_id,
+                                  std::int32_t id, const py::object& intrinsics,
+                                  const py::object& pose, const py::object& values,
+                                  const py::object& old, double farthest) {
+  const char* kernel = "plane_outline";
+  const In<float> x(kernel, "x_cur", x_cur, {ANY, 2}, Check::finite);
+  const In<std::int32_t> of(kernel, "plane_id", plane_id, {x.size()});
+  const In<double> K(kernel, "K", intrinsics, {3, 3}, Check::finite);
+  const In<double> camera(kernel, "pose", pose, {12}, Check::finite);
+  const In<double> given(kernel, "plane", values, {2, 3}, Check::finite);
+  const In<double> before(kernel, "old", old, {ANY, 3}, Check::finite);
+  Mat3 R;
+  std::copy_n(camera.data(), 9, R.begin());
+  const Vec3 t{camera[9], camera[10], camera[11]}, plane{given[0], given[1], given[2]};
+  const Vec3 anchor{given[3], given[4], given[5]};
+  const double depth = 1 / norm(plane), above = 1 + dot(plane, t - anchor);
+  const Vec3 normal = depth * plane, origin = anchor - depth * normal;
+  Vec3 first, second;
+  tangent_basis(normal, first, second);
+  std::vector<Point> points;
+  const auto add = [&](const Vec3& X) {
+    points.push_back({dot(X - origin, first), dot(X - origin, second)});
+  };
+  for (py::ssize_t i = 0; i < before.size(); ++i)
+    add({before(i, 0), before(i, 1), before(i, 2)});
+  for (py::ssize_t i = 0; i < x.size(); ++i) {
+    if (of[i] != id) continue;
+    const double v = (x(i, 1) - K(1, 2)) / K(1, 1);
+    const Vec3 toward = R * Vec3{(x(i, 0) - K(0, 2)) / K(0, 0) - K(0, 1) / K(0, 0) * v, v, 1};
+    const double reach = -above / dot(toward, plane);
+    if (reach > 0 && reach < farthest * std::abs(above) * depth) add(t + reach * toward);
+  }
+  const bool enough = points.size() >= 3;
+  if (enough) points = convex_hull(std::move(points));
+  Out<double> out({enough ? static_cast<py::ssize_t>(points.size()) : before.size(), 3});
+  for (py::ssize_t i = 0; i < out.array().shape(0); ++i)
+    for (int j = 0; j < 3; ++j)
+      out(i, j) = enough ? origin[j] + points[i][0] * first[j] + points[i][1] * second[j]
+                         : before(i, j);
+  return out.array();
+}
+
+}  // namespace
+}  // namespace kernels
+
+void bind_scene_blocks(pybind11::module_& module) {
+  module.def("stationary_blocks", kernels::stationary_blocks);
+  module.def("error_dependence", kernels::error_dependence);
+  module.def("depth_slope", kernels::depth_slope);
+  module.def("planes_in_world", kernels::planes_in_world);
+  module.def("plane_outline", kernels::plane_outline);
+}

@@ -1,0 +1,89 @@
+"""Rules are switched off as the table says, and what they earn is told from chance."""
+
+import inspect
+import subprocess
+import sys
+
+import ablation
+import pytest
+import rules
+
+RULE = rules.BY_NAME['terrain']
+
+
+@pytest.mark.parametrize('path', sorted({path for rule in rules.RULES for path in rule.off}))
+def test_what_a_rule_replaces_is_there(path):
+    holder, name = rules.place(path)
+    assert inspect.getattr_static(holder, name) is not None
+
+
+def test_settings_of_rules_are_there():
+    from mv_slapse.tools import rows
+    case = type('Case', (), {'height': 1.0})
+    for rule in rules.RULES:
+        if rule.settings:
+            changed = rules.with_settings(rows.settings_of, rule.settings, case)
+            assert changed != rows.settings_of(case)
+
+
+def test_no_two_rules_share_a_name_or_a_content():
+    assert len({rule.name for rule in rules.RULES}) == len(rules.RULES)
+    assert len({rule.content for rule in rules.RULES}) == len(rules.RULES)
+
+
+def test_a_function_is_replaced_wherever_it_was_imported():
+    code = f"""
+import sys
+sys.path.insert(0, {str(rules.__file__.rpartition('/')[0])!r})
+import numpy as np, rules
+rules.switch_off('terrain')
+rules.switch_off('iterations beyond 2')
+from mv_slapse.movers import outlines, terrain
+from mv_slapse.tools import rows
+assert outlines.land_rather is terrain.land_rather
+assert not outlines.land_rather(np.ones(3), np.ones(3), np.ones(3), np.array([0, 2])).any()
+assert rows.settings_of(type('Case', (), {{'height': 0.0}})).scene.iterations == 2
+"""
+    subprocess.run([sys.executable, '-c', code], check=True)
+
+
+def street(ate):
+    return {f'street {i}/mpeg2.mpg': {'ate_mean_percent': ate, 'cpu_ms': 2.0} for i in range(3)}
+
+
+@pytest.mark.parametrize(('ate', 'verdict'), [
+    (0.1, 'nothing beyond scatter'), (0.11, 'nothing beyond scatter'), (0.2, 'earns'),
+    (0.05, 'costs more than it earns')])
+def test_a_rule_earns_what_is_worse_without_it(ate, verdict):
+    altered = {f'street {i}, noise/mpeg2.mpg': {'ate_mean_percent': 0.12} for i in range(3)}
+    found = ablation.Verdict(RULE, street(0.1), street(ate), altered)
+    assert found.judgement == verdict
+    assert found.over_all('ln ATE') == f'× {ate / 0.1:.3f}'
+    assert found.same == (3 if ate == 0.1 else 0)
+
+
+def test_a_row_that_fails_without_a_rule_needs_it():
+    after = street(0.1) | {'street 1/mpeg2.mpg': {'error': 'lost'}}
+    assert 'needed' in ablation.Verdict(RULE, street(0.1), after, {}).judgement
+
+
+def test_a_third_holds_one_encoding_of_each_scene():
+    assert [ablation.a_third(i, ['a', 'b', 'c']) for i in range(4)] == [['a'], ['b'], ['c'], ['a']]
+
+
+def test_rules_are_measured_once_and_written_down(tmp_path, monkeypatch):
+    measured = []
+
+    def measure(scenes, cache, pool, tell, choose):
+        measured.append((cache.label, pool.change))
+        return street(0.1 if pool.change is None else 0.3)
+
+    monkeypatch.setattr(ablation, 'measure_all', measure)
+    page = tmp_path / 'page.md'
+    assert ablation.main(['--rules', 'terrain, body', '--cache', str(tmp_path), '-o',
+                          str(page), '--data', str(tmp_path), '--reference', 'none']) == 0
+    assert len({label for label, _ in measured}) == 3
+    assert [change and change.args for _, change in measured] == [None, ('terrain',), ('body',)]
+    text = page.read_text()
+    assert '| terrain | earns | 3, 0 | 0 of 3 | × 3.000 |' in text
+    assert 'street 0, ATE: 0.1000 → 0.3000' in text
