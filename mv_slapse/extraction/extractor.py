@@ -218,7 +218,7 @@ class PlaneExtractor:
         newest = int(known.id.max(initial=-1))
         self._memory = replace(
             self._memory, planes=known, next_id=max(self._memory.next_id, newest + 1),
-            grid=depth_grid.noted(blank.width, blank.height, depths[free]))
+            grid=depth_grid.noted(blank.width, blank.height, depths, free))
         return found + walls
 
     def _carried(self, pair, depths: Depths, fit: MotionFit, ratio) -> Depths:
