@@ -163,7 +163,8 @@ def find_new(blocks, taken, room, least):
     """Return [plane, covariance, -1] of new planes."""
     found, proposed = [], []
     for w in dict.fromkeys(blocks.best[blocks.best >= 0]):
-        if np.mean(taken[blocks.windows[w]] == 0) > 0.5:
+        vacant = np.mean(taken[blocks.windows[w]] == 0) > 0.5
+        if vacant and np.sum(blocks.best == w) >= POLICY['judged']:
             plane, near = blocks.grown(w)
             proposed.append((plane, np.where(near, blocks.gain(plane), 0)))
     for _ in range(2 * room):

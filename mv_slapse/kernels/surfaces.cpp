@@ -25,6 +25,7 @@ struct Policy {
   double cut, max_excess, max_blur, roughness, density, vague, fading;  // of planes
   double least, cap, lean, dependence, reach, upright_gate, noise_least;  // of windows
   double same_gate, min_macroblocks;
+  int judged;
 
   explicit Policy(const py::dict& d)
       : cut(policy(d, "cut")), max_excess(policy(d, "max_excess")),
@@ -33,7 +34,8 @@ struct Policy {
         least(policy(d, "least")), cap(policy(d, "cap")), lean(policy(d, "lean")),
         dependence(policy(d, "dependence")), reach(policy(d, "reach")),
         upright_gate(policy(d, "upright_gate")), noise_least(policy(d, "noise_least")),
-        same_gate(policy(d, "same_gate")), min_macroblocks(policy(d, "min_macroblocks")) {}
+        same_gate(policy(d, "same_gate")), min_macroblocks(policy(d, "min_macroblocks")),
+        judged(static_cast<int>(policy(d, "judged"))) {}
 };
 
 // Makes a plane upright where it may be, for what is known of it.
@@ -155,7 +157,8 @@ Equations equations_of(const Whitened& blocks, const Terms* terms, const int* wh
 
 struct Window {
   int begin, end;  // of its members
-  bool is_tall, judges;
+  bool is_tall;
+  int judged;  // blocks
   double centre[2];
   Vec3 plane;
   double cost;
@@ -282,7 +285,7 @@ void Search::tile(int wide, int high, bool is_tall) {
         members_.resize(begin);
         continue;
       }
-      windows_.push_back({begin, begin + count, is_tall, false,
+      windows_.push_back({begin, begin + count, is_tall, 0,
                           {centre[0] / count, centre[1] / count}, {}, 0});
     }
 }
@@ -373,7 +376,7 @@ void Search::judge() {
       }
   }
   for (const int w : best_)
-    if (w >= 0 && !std::exchange(windows_[w].judges, true)) judges_.push_back(w);
+    if (w >= 0 && ++windows_[w].judged == is_.judged) judges_.push_back(w);
   worse_.assign(windows_.size(), 0.0);
   asked_.assign(windows_.size(), 0);
 }
@@ -483,7 +486,7 @@ bool Search::settled(Track& track, std::vector<int>& part) {
   return more(part, track.gain) >= least_gain();
 }
 
-// Finds new planes, the one that explains most first.
+// Finds new planes, the one that explains most first: windows that judge enough blocks propose.
 void Search::find_new(int room) {
   if (room <= 0) return;
   std::vector<Track> proposed;

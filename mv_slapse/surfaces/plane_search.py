@@ -36,6 +36,7 @@ POLICY = {
     'vague': 0.35,  # uncertainty, a share, beyond which a plane passes for the next pair's
     'fading': 0.7,  # share of the smallest plane at which a known one is still seen
     'least': 8,  # blocks in a window: three unknowns, and as many errors again
+    'judged': 3,  # blocks that ask a window before it proposes a plane: others change no label
     'lean': 0.03,  # rad: how far walls lean
     'upright_gate': 9.0,  # squared, 3 sigma: a plane this near to upright is taken as upright
     'dependence': 6.0,  # neighbouring vectors err together: so many tell as much as one
