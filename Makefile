@@ -4,7 +4,7 @@ VENV := .venv
 RUN := . $(VENV)/setup.sh &&
 WORKERS ?= 2
 .DEFAULT_GOAL := help
-.PHONY: help setup messages kernels config demo test lint build bench evaluate clean
+.PHONY: help setup messages kernels config demo test lint build bench evaluate losses fuzz soak mutants clean
 
 # Stamps, one for each step, so that a step is repeated only when what it reads has changed.
 LIBRARIES := $(VENV)/.libraries
@@ -45,9 +45,10 @@ messages: $(MESSAGES) ## generate the messages of msg_defs into .venv
 
 kernels: $(KERNELS) ## compile the kernels of mv_slapse/kernels into .venv
 
-config: setup ## write config/*.yaml and docs/parameters.md from the settings
+config: setup ## write config/*.yaml, docs/parameters.md and docs/diagnostics.md from the code
 	@$(RUN) python -m mv_slapse.tools.parameter_files config
 	@$(RUN) python -m mv_slapse.tools.parameter_table docs/parameters.md
+	@$(RUN) python -m mv_slapse.tools.state_table docs/diagnostics.md
 
 demo: setup ## render a street with known truth, run everything on it, write out/demo
 	@$(RUN) mv_slapse demo -o out/demo
@@ -68,6 +69,21 @@ bench: setup ## measure the speed of each stage
 
 evaluate: setup ## run every sequence in ../shared/data and write docs/results.md
 	@$(RUN) python -m mv_slapse.tools.evaluate $(ARGS)
+
+# The long tests; what they last gave stands in docs/reliability.md.
+RELIABILITY := cd test && OPENBLAS_NUM_THREADS=1 PYTHONPATH=.:..:$$PYTHONPATH python reliability
+
+losses: setup ## leave out packets of every codec (ARGS="--places 50 --given 12")
+	@$(RUN) $(RELIABILITY)/losses.py $(ARGS)
+
+fuzz: setup ## damage streams, messages, bags, files (ARGS="--streams 300 --messages 400 --bags 50 --files 50")
+	@$(RUN) $(RELIABILITY)/fuzz.py $(ARGS)
+
+soak: setup ## play a minute of video and watch the memory (ARGS="--minutes 60" for an hour)
+	@$(RUN) $(RELIABILITY)/soak.py $(ARGS)
+
+mutants: setup ## plant 60 mistakes, one after another, and run the tests near by (ARGS="--every 6" for some)
+	@$(RUN) $(RELIABILITY)/mutants.py $(ARGS)
 
 clean: ## remove what the targets above have made, .venv included
 	rm -rf $(VENV) build install log out *.egg-info .pytest_cache .ruff_cache

@@ -205,6 +205,18 @@ def _leave_at_once(self, state, extraction):
     return []
 
 
+def _all_still(extraction):
+    """Return all stationary correspondences, whatever is around them."""
+    from mv_slapse.geometry.camera import to_rays
+    from mv_slapse.geometry.two_view import Pair
+    from mv_slapse.records import Label
+    still = (extraction.label == Label.STATIONARY) | (extraction.label == Label.INFINITY)
+    x_cur, x_prev = (x[still].astype(float) for x in (extraction.x_cur, extraction.x_prev))
+    pair = Pair(to_rays(extraction.K, x_cur), to_rays(extraction.K, x_prev), x_prev,
+                extraction.sigma[still].astype(float), extraction.K)
+    return pair, extraction.plane_id[still]
+
+
 def _prior_alone(self, *_args):
     """Return it as it is."""
     return self
@@ -366,11 +378,8 @@ RULES = (
          {SCENE + 'noise:Dependence.seen': ITSELF}),
     Rule('wandering height', 'a height that wanders has a lasting error',
          {SCENE + 'noise:HeightWander.seen': ITSELF}),
-    Rule('beside movers', 'blocks on no plane beside a mover do not count',
-         {SCENE + 'input:_beside_movers': gives(lambda extraction:
-                                                np.zeros(len(extraction.x_cur), bool))}),
-    Rule('still surroundings', 'a block on no plane counts where most around it is still',
-         {SCENE + 'input:_share_around': gives(lambda extraction, still: np.ones(len(still)))}),
+    Rule('still surroundings', 'a block on no plane counts where most around it is still and no '
+         'mover beside it', {SCENE + 'input:stationary': gives(_all_still)}),
     Rule('patience', 'a plane must contradict the map for a while',
          {SCENE + 'filter:PATIENCE': value(0)}),
     Rule('walls out of view', 'well seen walls stay in the filter',

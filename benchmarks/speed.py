@@ -64,7 +64,7 @@ REAL = {'kitti00': (40, 1.65), 'parking': (60, 0.0)}  # frames measured, height 
 # Parts of the pipeline: methods and functions by the module in which they are looked up.
 PARTS = {
     'first motion': 'mv_slapse.extraction.extractor:PlaneExtractor._first_motion',
-    'evidence': 'mv_slapse.motion.observations:evidence',
+    'evidence': 'mv_slapse.extraction.extractor:PlaneExtractor._observed',
     'baseline ratio': 'mv_slapse.extraction.extractor:PlaneExtractor._ratio',
     'ground': 'mv_slapse.extraction.extractor:PlaneExtractor._survey',
     'planes': 'mv_slapse.surfaces.plane_search:stationary_planes',

@@ -25,3 +25,9 @@ class MissingKernels(MvSlapseError):  # noqa: N818 (as above: the installation i
     exit_code = 3
     cure = ('run `make setup` in the clone, or build the workspace again with colcon, or install '
             'mv_slapse again with pip; each needs CMake, a C++ compiler and pybind11')
+
+
+class UnusableOutput(MvSlapseError):  # noqa: N818 (the disk is at fault)
+    """A place where results cannot be written: full, read-only or not permitted."""
+
+    exit_code = 3

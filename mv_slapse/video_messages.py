@@ -11,6 +11,8 @@ from mv_slapse.codec import bitstream
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
 from mv_slapse.fields import Fields, header, stamp_from_message
+from mv_slapse.message_checks import count, InvalidMessage, size
+from mv_slapse.picture_size import size_of_still
 import numpy as np
 
 FFMPEG_PACKET = 'ffmpeg_image_transport_msgs/msg/FFMPEGPacket'
@@ -22,6 +24,7 @@ VIDEO_TYPES = (FFMPEG_PACKET, COMPRESSED_VIDEO, COMPRESSED_IMAGE, IMAGE)
 DECODERS = {'264': 'h264', 'avc': 'h264', '265': 'hevc', 'hevc': 'hevc', 'vp9': 'vp9',
             'vp8': 'vp8', 'av1': 'av1', 'mpeg2': 'mpeg2video', 'mpeg1': 'mpeg1video',
             'mpeg4': 'mpeg4', 'xvid': 'mpeg4', 'jpeg': 'mjpeg'}
+MAX_BYTES = 2**26  # of a coded picture; one of 64 million pixels has as many
 STILL_FORMATS = ('jpeg', 'jpg', 'png')
 CHANNELS = {'mono8': 1, '8UC1': 1, 'bgr8': 3, '8UC3': 3, 'rgb8': 3, 'bgra8': 4, 'rgba8': 4}
 TO_BGR = {'rgb8': cv2.COLOR_RGB2BGR, 'bgra8': cv2.COLOR_BGRA2BGR, 'rgba8': cv2.COLOR_RGBA2BGR}
@@ -53,7 +56,7 @@ def from_message(message_type: str, msg: Any) -> Packet | Picture:
         stamp, name, flagged = msg.header.stamp, msg.format, False
         if any(still in name.lower() for still in STILL_FORMATS):
             return Picture(_still_image(msg), stamp_from_message(stamp))
-    data = bytes(msg.data)
+    data = _payload(msg)
     codec = bitstream.sniff(data) or decoder_of(name)
     return Packet(data, stamp_from_message(stamp), flagged or is_key(data, codec), codec)
 
@@ -120,8 +123,19 @@ def _annex_b(packet: Packet) -> bytes:
     return b''.join(units)
 
 
+def _payload(msg: Any) -> bytes:
+    """Return the bytes of a coded picture, neither none nor too many."""
+    if not len(msg.data):
+        raise InvalidMessage('data is empty: a video message without a picture; the message is '
+                             'dropped, correct its publisher')
+    return bytes(count(msg.data, 'data', MAX_BYTES))
+
+
 def _still_image(msg: Any) -> np.ndarray:
-    image = cv2.imdecode(np.frombuffer(bytes(msg.data), np.uint8), cv2.IMREAD_COLOR)
+    data = _payload(msg)
+    told = size_of_still(data)  # before memory is taken for it
+    image = cv2.imdecode(np.frombuffer(data, np.uint8),
+                         cv2.IMREAD_COLOR) if told and size(*told) else None
     if image is None:
         raise UnusableInput(f'a CompressedImage says {msg.format!r} but is no picture of it')
     return image
@@ -132,7 +146,8 @@ def _raw_image(msg: Any) -> np.ndarray:
     if n is None:
         raise UnusableInput(f'pictures encoded as {encoding!r} are not supported; publish one '
                             f'of {", ".join(CHANNELS)}')
-    data = np.frombuffer(bytes(msg.data), np.uint8)
+    size(msg.width, msg.height)
+    data = np.frombuffer(count(msg.data, 'data', 8 * MAX_BYTES), np.uint8)
     if len(data) < msg.height * msg.step or msg.step < msg.width * n:
         raise UnusableInput(f'an Image of {msg.width}x{msg.height} {encoding} has '
                             f'{len(data)} bytes, too few')

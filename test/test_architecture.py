@@ -42,7 +42,8 @@ BELOW = {
     'evaluation': {*LOW, 'storage'},
     'pipeline': {*LOW, *ROOMS},
     'storage': {*LOW, 'codec', 'fields', 'video_messages', 'view_fields'},
-    'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'fields', 'video_messages', 'view_fields'},
+    'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'fields', 'field_values', 'message_checks',
+              'video_messages', 'view_fields'},
 }
 
 

@@ -13,7 +13,8 @@ import pytest
 
 @pytest.fixture
 def frames(rng) -> RosFrames:
-    return RosFrames(R_base_from_cam=made_up.rotation(rng), t_base_from_cam=rng.normal(size=3))
+    return RosFrames(R_base_from_cam=made_up.rotation(rng), t_base_from_cam=rng.normal(size=3),
+                     R_odom_from_start=made_up.rotation(rng), t_odom_from_start=rng.normal(size=3))
 
 
 def as_message(value):

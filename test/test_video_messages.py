@@ -7,6 +7,7 @@ from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.source import open_source
 from mv_slapse.config import DecoderSettings
 from mv_slapse.errors import UnusableInput
+from mv_slapse.message_checks import InvalidMessage
 from mv_slapse.video_messages import (
     COMPRESSED_IMAGE,
     COMPRESSED_VIDEO,
@@ -141,3 +142,27 @@ def test_an_avcc_unit_whose_length_looks_like_a_start_code_is_read_by_its_length
     packet = Packet(len(unit).to_bytes(4, 'big') + unit, 0, False, 'h264', avcc)
     assert packet.data[:3] == b'\0\0\1'
     assert video_messages.in_band(packet) == b'\0\0\0\1' + unit
+
+
+@pytest.mark.parametrize('width', [2**31 - 1, 32768, 0])
+def test_a_still_picture_that_would_fill_the_memory_is_refused_by_its_header(width):
+    coded = bytearray(cv2.imencode('.png', np.zeros((8, 8), np.uint8))[1].tobytes())
+    coded[16:20] = width.to_bytes(4, 'big')
+    coded[20:24] = width.to_bytes(4, 'big')
+    with pytest.raises(InvalidMessage, match='width'):
+        from_message(COMPRESSED_IMAGE, message(format='png', data=bytes(coded)))
+
+
+@pytest.mark.parametrize(('kind', 'values'), [
+    (FFMPEG_PACKET, {'encoding': 'libx264', 'flags': 0}), (COMPRESSED_IMAGE, {'format': 'jpeg'})])
+def test_a_message_without_a_picture_is_refused(kind, values):
+    with pytest.raises(InvalidMessage, match='data is empty'):
+        from_message(kind, message(data=b'', **values))
+
+
+@pytest.mark.parametrize(('width', 'height', 'step'), [(2**32 - 1, 1, 0), (32768, 32768, 2**15),
+                                                      (0, 4, 4)])
+def test_a_raw_picture_of_absurd_size_is_refused(width, height, step):
+    with pytest.raises(InvalidMessage, match='width'):
+        from_message(IMAGE, message(encoding='mono8', width=width, height=height, step=step,
+                                    data=b'abcd'))

@@ -1,7 +1,6 @@
-"""What the decoder does not tell: the few header fields of H.264 and MPEG that are needed here.
+"""What the decoder does not tell: the few header fields of H.264 that are needed here.
 
-Only start codes, sequence parameter sets and the first bits of slice headers are read
-(ITU-T H.264 7.3, ISO/IEC 13818-2 6.2).
+Only start codes, parameter sets and the first bits of slice headers are read (ITU-T H.264 7.3).
 """
 
 from collections.abc import Iterable, Iterator
@@ -10,6 +9,11 @@ from dataclasses import dataclass
 START = b'\x00\x00\x01'
 NAL_SLICE, NAL_IDR, NAL_SPS, NAL_PPS = 1, 5, 7, 8
 HIGH_PROFILES = (100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135)
+LONGEST_SET = 1024  # bytes of a parameter set; the longest of real encoders have a tenth
+LONGEST_CODE = 32  # zeros before an Exp-Golomb number, H.264 9.1
+COUNTER_BITS = range(4, 17)  # of frame_num and of the picture order, H.264 7.4.2.1.1
+LARGEST = 65536  # px, width or height
+LAST_PPS = 255  # greatest pic_parameter_set_id, H.264 7.4.2.2
 
 
 @dataclass(frozen=True)
@@ -72,20 +76,24 @@ class SliceHeader:
     frame_num : int
     references : int
         Most pictures in a list of references: 1 means that no vector is ambiguous.
+    order : int
+        pic_order_cnt_lsb; 0 where the stream has none.
     """
 
     is_idr: bool
     is_reference: bool
     frame_num: int
     references: int
+    order: int = 0
 
 
 class BitReader:
-    """Bits of an H.264 payload, emulation prevention removed."""
+    """Bits of a payload; of H.264's, which are escaped, without emulation prevention."""
 
-    def __init__(self, payload: bytes):
+    def __init__(self, payload: bytes, is_escaped: bool = True):
         """Hold the payload; nothing is copied bit by bit."""
-        payload = payload.replace(b'\x00\x00\x03', b'\x00\x00')
+        if is_escaped:
+            payload = payload.replace(b'\x00\x00\x03', b'\x00\x00')
         self._value = int.from_bytes(payload, 'big')
         self._left = 8 * len(payload)
 
@@ -101,6 +109,8 @@ class BitReader:
         zeros = 0
         while not self.bits(1):
             zeros += 1
+            if zeros > LONGEST_CODE:
+                raise EOFError('no Exp-Golomb number')
         return (1 << zeros) - 1 + self.bits(zeros)
 
     def se(self) -> int:
@@ -131,28 +141,30 @@ def _length_prefixed(data: bytes) -> list[bytes]:
 
 
 def parameter_sets(extradata: bytes) -> Iterator[bytes]:
-    """Yield the units of H.264 extradata, avcC or Annex B."""
+    """Yield the units of H.264 extradata, avcC or Annex B; of one that is cut those before."""
     if extradata[:1] != b'\x01':
         yield from nal_units(extradata)
         return
-    at = 6
-    for n in (extradata[5] & 31, None):
-        if n is None:
-            n, at = extradata[at], at + 1
+    at = 5
+    for mask in (31, 255):
+        n, at = int.from_bytes(extradata[at:at + 1], 'big') & mask, at + 1
         for _ in range(n):
             size = int.from_bytes(extradata[at:at + 2], 'big')
+            if not size or at + 2 + size > len(extradata):
+                return
             yield extradata[at + 2:at + 2 + size]
             at += 2 + size
-        if at >= len(extradata):
-            return
 
 
 def parse_sps(unit: bytes) -> SequenceParameters | None:
     """Return the fields of a sequence parameter set, H.264 7.3.2.1.1; None where it is broken."""
     try:
-        return _parse_sps(BitReader(unit[1:]))
+        sps = _parse_sps(BitReader(unit[1:LONGEST_SET]))
     except EOFError:
         return None
+    counters = sps.log2_max_frame_num, sps.order_bits or COUNTER_BITS[0]
+    sane = all(n in COUNTER_BITS for n in counters) and max(sps.width, sps.height) <= LARGEST
+    return sps if sane else None
 
 
 def _parse_sps(bits: BitReader) -> SequenceParameters:
@@ -207,13 +219,13 @@ def _picture_order(bits: BitReader) -> tuple[int, int]:
 
 def parse_pps(unit: bytes) -> tuple[int, PictureParameters] | None:
     """Return id and fields of a picture parameter set, H.264 7.3.2.2; None where it is broken."""
-    bits = BitReader(unit[1:])
+    bits = BitReader(unit[1:LONGEST_SET])
     try:
         number = bits.ue()
         bits.ue()
         bits.bits(1)
         bottom = bool(bits.bits(1))
-        if bits.ue():
+        if bits.ue() or number > LAST_PPS:
             return None  # slice groups: only baseline streams that no encoder writes
         references = bits.ue() + 1, bits.ue() + 1
         bits.bits(3)
@@ -254,19 +266,22 @@ class Headers:
         except EOFError:
             return None
 
-    def is_gap(self, header: SliceHeader | None) -> bool:
-        """Return whether a reference picture is missing before this one, H.264 7.4.3.
+    def missing(self, header: SliceHeader | None) -> int:
+        """Return how many reference pictures are missing before this one, H.264 7.4.3.
 
-        Neither FFmpeg nor the container tells.
+        Neither FFmpeg nor the container tells. The number is known up to multiples of the range
+        of frame_num, 16 at least.
         """
         if header is None or self.sps.gaps_allowed:
-            return False
+            return 0
         last, modulus = self._last, 1 << self.sps.log2_max_frame_num
-        gap = (not header.is_idr and last is not None
-               and (header.frame_num - last - 1) % modulus != 0)
-        if header.is_reference or gap:
+        known = not header.is_idr and last is not None
+        missing = (header.frame_num - last - 1) % modulus if known else 0
+        if header.is_reference:
             self._last = header.frame_num
-        return gap
+        elif missing:  # told once; a picture that is no reference has the number of the next one
+            self._last = (header.frame_num - 1) % modulus
+        return missing
 
     def _slice(self, unit: bytes) -> SliceHeader:
         bits, sps = BitReader(unit[1:40]), self.sps
@@ -275,15 +290,15 @@ class Headers:
         kind, pps = bits.ue() % 5, self._pps.get(bits.ue())
         bits.bits(2 if sps.separate_planes else 0)
         number = bits.bits(sps.log2_max_frame_num)
-        if pps is None:
-            return SliceHeader(is_idr, is_reference, number, sps.max_num_ref_frames)
         if is_idr:
             bits.ue()
-        self._skip_order(bits, pps)
-        return SliceHeader(is_idr, is_reference, number, _references(bits, kind, pps))
+        order = bits.bits(sps.order_bits)
+        if pps is None:
+            return SliceHeader(is_idr, is_reference, number, sps.max_num_ref_frames, order)
+        self._skip_deltas(bits, pps)
+        return SliceHeader(is_idr, is_reference, number, _references(bits, kind, pps), order)
 
-    def _skip_order(self, bits: BitReader, pps: PictureParameters):
-        bits.bits(self.sps.order_bits)
+    def _skip_deltas(self, bits: BitReader, pps: PictureParameters):
         deltas = {0: int(pps.has_bottom_order), 1: 1 + int(pps.has_bottom_order)}
         for _ in range(deltas.get(self.sps.order_type, 0)):
             bits.se()
@@ -319,24 +334,3 @@ def sniff(data: bytes) -> str:
         return 'hevc'
     return 'h264' if code & 31 in (NAL_SLICE, NAL_IDR, 6, NAL_SPS, NAL_PPS, 9) else ''
 
-
-def is_b_picture(data: bytes) -> bool:
-    """Return whether an MPEG-1, MPEG-2 or MPEG-4 packet holds a B picture (its coding type)."""
-    for code, shift, b in ((b'\x00\x00\x01\x00', 3, 3), (b'\x00\x00\x01\xb6', 6, 2)):
-        at = data.find(code)
-        if at >= 0 and len(data) > at + 5:
-            byte = data[at + 5] if shift == 3 else data[at + 4]
-            return (byte >> shift) & (7 if shift == 3 else 3) == b
-    return False
-
-
-def picture_number(data: bytes) -> tuple[bool, int] | None:
-    """Return whether an MPEG-1 or MPEG-2 packet begins a group of pictures, and its place in it.
-
-    The place, temporal_reference, counts pictures as they are shown. None of a packet without a
-    picture header.
-    """
-    at = data.find(b'\x00\x00\x01\x00')
-    if at < 0 or len(data) < at + 6:
-        return None
-    return 0 <= data.find(b'\x00\x00\x01\xb8') < at, data[at + 4] << 2 | data[at + 5] >> 6

@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-from mv_slapse.blas import one_thread
 from mv_slapse.codec.bridging import can_bridge, search
-from mv_slapse.codec.chaining import Chainer
-from mv_slapse.codec.evidence import collect, halves
+from mv_slapse.codec.chaining import Chainer, median_flow
+from mv_slapse.codec.evidence import collect, Evidence, halves
 from mv_slapse.codec.frames import FrameDecoder
 from mv_slapse.codec.merging import average, match_probability, merge
 from mv_slapse.codec.motion_vectors import FrameVectors
@@ -33,8 +32,8 @@ class CorrespondenceDecoder:
         self._segments = SegmentBuilder()
         self._expect = MotionPrior()
         self._usual = 0
+        self._right = settings.match_probability
 
-    @one_thread
     def feed(self, packet: Packet) -> list[Correspondences]:
         """Return the correspondences that this packet completes, often none, in order of time.
 
@@ -42,7 +41,6 @@ class CorrespondenceDecoder:
         """
         return self._join(self._frames.feed(packet))
 
-    @one_thread
     def flush(self) -> list[Correspondences]:
         """Return what is still held back at the end of the stream."""
         return self._join(self._frames.flush()) + self._chainer.flush()
@@ -58,44 +56,43 @@ class CorrespondenceDecoder:
             pairs = [self._searched(segment) or self._broken(segment)]
         else:
             pairs = self._merged(segment)
-        if segment.kind is SegmentKind.PI and len(pairs[0].supported()) < POOR * self._usual:
+        if segment.kind is SegmentKind.PI and _supported(pairs[0]) < POOR * self._usual:
             pairs = [self._searched(segment) or pairs[0]]
-        supported = [pair.supported() for pair in pairs]
-        for pair in supported:
+        for pair in pairs:
             self._expect.add(pair)
-        self._usual = len(supported[-1]) or self._usual
+        self._usual = _supported(pairs[-1]) or self._usual
         return pairs
 
     def _merged(self, segment: Segment) -> list[Correspondences]:
         """Merge a segment, in two parts where its motion is too long for direct vectors."""
         evidence = collect(segment, self._settings)
-        whole = merge(segment, evidence, self._settings, self._expect)
+        whole = self._merge(segment, evidence)
         self._learn(match_probability(evidence, whole, self._settings))
-        flow = np.hypot(*(whole.x_prev - whole.x_cur).T)
-        if not segment.between or len(flow) and np.median(flow) < self._settings.split_flow:
+        if not segment.between or len(whole) and median_flow(whole) < self._settings.split_flow:
             return [whole]
-        parts = [merge(half, collect(half, self._settings), self._settings, self._expect)
+        parts = [self._merge(half, collect(half, self._settings))
                  for half in halves(segment, self._settings)]
         # Fewer matches over half the distance: the B frame's vectors mean other pictures.
-        shorter = min(len(part.supported()) for part in parts)
+        shorter = min(map(_supported, parts))
         good = shorter >= self._settings.split_share * len(whole)
         # Halves that would be chained again lose matches where they are joined.
         return parts if good and all(map(self._chainer.is_long, parts)) else [whole]
 
+    def _merge(self, segment: Segment, evidence: Evidence) -> Correspondences:
+        return merge(segment, evidence, self._settings, self._expect, self._right)
+
     def _learn(self, p: float):
         """Take in how many vectors of a segment were right; the next segment counts with it."""
         if np.isfinite(p):
-            before = self._settings.match_probability
-            p = float(np.clip(before + LEARNING * (p - before), *RIGHT))
-            self._settings = replace(self._settings, match_probability=p)
+            self._right = min(max(self._right + LEARNING * (p - self._right), RIGHT[0]), RIGHT[1])
 
     def _searched(self, segment: Segment) -> Correspondences | None:
         """Search an I frame's macroblocks in the key frame before it; None where that fails."""
-        if not (self._settings.bridge_intra and can_bridge(segment)):
+        if not self._settings.bridge_intra or segment.is_torn or not can_bridge(segment):
             return None
         found = search(segment, self._expect, self._settings)
-        pair = average(replace(segment, kind=SegmentKind.PP), found, self._settings)
-        return pair if len(pair.supported()) >= self._settings.bridge_minimum else None
+        pair = average(replace(segment, kind=SegmentKind.PP), found, self._settings, p=self._right)
+        return pair if _supported(pair) >= self._settings.bridge_minimum else None
 
     def _broken(self, segment: Segment) -> Correspondences:
         """Return a pair that tells nothing but why; what comes after it is another matter."""
@@ -103,3 +100,7 @@ class CorrespondenceDecoder:
         frame = segment.current
         return Correspondences(frame.stamp, segment.previous.stamp, frame.width, frame.height,
                                segment.kind, len(segment.between), segment.reason)
+
+
+def _supported(pair: Correspondences) -> int:
+    return np.count_nonzero(~pair.lone)

@@ -67,7 +67,8 @@ class ImageEncoder:
         """Open nothing until the first picture tells the size."""
         self._encoding = encoding or Encoding()
         self._context = None
-        self._stamps: list[int] = []
+        self._stamps: dict[int, int] = {}
+        self._count = 0
 
     def feed(self, image: np.ndarray, stamp: int) -> list[Packet]:
         """Return the packets that this picture completes.
@@ -83,8 +84,9 @@ class ImageEncoder:
             height, width = image.shape[:2]
             self._context = av.CodecContext.create(ENCODERS[self._encoding.codec], 'w')
             configure(self._context, self._encoding, width, height, Fraction(25))
-        picture = _picture(image, len(self._stamps), self._context.time_base)
-        self._stamps.append(stamp)
+        picture = _picture(image, self._count, self._context.time_base)
+        self._stamps[self._count] = stamp
+        self._count += 1
         return self._packets(picture)
 
     def flush(self) -> list[Packet]:
@@ -92,7 +94,7 @@ class ImageEncoder:
         return [] if self._context is None else self._packets(None)
 
     def _packets(self, picture) -> list[Packet]:
-        return [Packet(bytes(packet), self._stamps[packet.pts], bool(packet.is_keyframe),
+        return [Packet(bytes(packet), self._stamps.pop(packet.pts), bool(packet.is_keyframe),
                        self._encoding.codec, b'') for packet in self._context.encode(picture)]
 
 

@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass, replace
 
-from mv_slapse.codec.motion_vectors import FrameVectors, FUTURE, PAST
-from mv_slapse.codec.prediction import leaning
-from mv_slapse.codec.prior import at
+from mv_slapse.codec.motion_vectors import FrameVectors, PAST
+from mv_slapse.codec.prediction import kernel_frame
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
-from mv_slapse.geometry.blocks import CELL, cell_of, MACROBLOCK
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
 
@@ -37,13 +36,27 @@ class Evidence:
         """Return the number of vectors."""
         return len(self.x_cur)
 
+    @property
+    def columns(self) -> tuple[np.ndarray, ...]:
+        """Return the columns as the kernels take them."""
+        return self.x_cur, self.vector, self.variance, self.block
+
 
 def collect(segment: Segment, settings: DecoderSettings) -> Evidence:
-    """Return all evidence of a segment, but B blocks whose two vectors contradict."""
-    parts = [_indirect(segment, frame, settings) for frame in segment.between]
+    """Return all evidence of a segment, but B blocks whose two vectors contradict.
+
+    The vectors of a P frame are direct evidence. The two vectors of a block of a B frame are
+    joined to indirect evidence; the later end is where it lies in key frame k.
+    """
+    parts = [compiled.indirect(kernel_frame(frame), *_bend(segment, frame, settings))
+             for frame in segment.between]
     if segment.current.frame_type is FrameType.P:
-        parts.insert(0, _direct(segment))
-    return _joined(parts)
+        parts.insert(0, compiled.direct(kernel_frame(segment.current)))
+    if len(parts) == 1:
+        return Evidence(*parts[0])
+    parts.append((np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32),
+                  np.zeros(0, np.float32), np.zeros((0, 2), np.uint8)))
+    return Evidence(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def is_ambiguous(segment: Segment) -> bool:
@@ -64,75 +77,21 @@ def of_one_interval(evidence: Evidence, field: np.ndarray, settings: DecoderSett
         What to expect, see `MotionPrior.field` [px].
     settings : DecoderSettings
     """
-    expected = at(field, evidence.x_cur)
-    gap = np.hypot(*(evidence.vector - expected).T)
-    return _take(evidence, gap < settings.reference_slack
-                 + settings.reference_tolerance * np.hypot(*expected.T))
+    near = compiled.near_expected(evidence.x_cur, evidence.vector, field,
+                                  settings.reference_slack, settings.reference_tolerance)
+    return Evidence(*(column[near] for column in evidence.columns))
 
 
-def _joined(parts: list[Evidence]) -> Evidence:
-    parts = parts or [Evidence(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32),
-                               np.zeros(0, np.float32), np.zeros((0, 2), np.uint8))]
-    return Evidence(*(np.concatenate([getattr(part, name) for part in parts])
-                      for name in ('x_cur', 'vector', 'variance', 'block')))
-
-
-def _take(evidence: Evidence, rows: np.ndarray) -> Evidence:
-    return Evidence(evidence.x_cur[rows], evidence.vector[rows], evidence.variance[rows],
-                    evidence.block[rows])
-
-
-def _direct(segment: Segment) -> Evidence:
-    frame = segment.current
-    past = frame.direction == PAST
-    return Evidence((frame.x + leaning(frame))[past], frame.displacement[past],
-                    np.ones(np.count_nonzero(past), np.float32), frame.block[past])
-
-
-def _indirect(segment: Segment, frame: FrameVectors, settings: DecoderSettings) -> Evidence:
-    """Join the two vectors of each block of a B frame; the later end is where it lies in k."""
-    past, future = bent(segment, frame, settings)[0]
-    to_future, lean = frame.displacement[future], leaning(frame)
-    place = frame.x[past] + 0.5 * (lean[past] + lean[future])
-    return Evidence(place + to_future, frame.displacement[past] - to_future,
-                    np.full(len(past), 2, np.float32), frame.block[past])
-
-
-def bent(segment: Segment, frame: FrameVectors, settings: DecoderSettings):
-    """Split the blocks of a B frame with two vectors into good ones and bent ones.
+def _bend(segment: Segment, frame: FrameVectors, settings: DecoderSettings) -> tuple:
+    """Return what tells whether the two vectors of a block contradict: share, slack, tolerance.
 
     Over the tenth of a second of a segment the motion is nearly uniform, so the two vectors are
     opposite and as long as the two times. If not, one of them is wrong: H.264 also exports
     vectors of lists that a block does not use.
-
-    Returns
-    -------
-    good, bad : tuple of (past, future)
-        Rows of the vectors of each block.
     """
-    past, future = _pairs(frame)
-    to_past, to_future = frame.displacement[past], frame.displacement[future]
-    share = np.float32((frame.stamp - segment.previous.stamp)
-                       / (segment.current.stamp - segment.previous.stamp))
-    vector = to_past - to_future
-    bend = np.hypot(*(to_past - share * vector).T)
-    good = bend < settings.bend_slack + settings.bend_tolerance * np.hypot(*vector.T)
-    return (past[good], future[good]), (past[~good], future[~good])
-
-
-def _pairs(frame: FrameVectors) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows of the past and of the future vectors of the blocks that have both."""
-    column, row = cell_of(frame.x, frame.block).T
-    stride = frame.width // CELL + 4
-    key = row * stride + column
-    rows = np.full((2, stride * (frame.height // CELL + 4)), -1)
-    for side, direction in enumerate((PAST, FUTURE)):
-        index = np.flatnonzero(frame.direction == direction)
-        rows[side, key[index]] = index
-    past, future = rows[:, (rows >= 0).all(axis=0)]
-    width, height = (frame.block[past] == frame.block[future]).T
-    same = width & height
-    return past[same], future[same]
+    share = ((frame.stamp - segment.previous.stamp)
+             / (segment.current.stamp - segment.previous.stamp))
+    return share, settings.bend_slack, settings.bend_tolerance
 
 
 def halves(segment: Segment, settings: DecoderSettings) -> tuple[Segment, Segment]:
@@ -144,21 +103,18 @@ def halves(segment: Segment, settings: DecoderSettings) -> tuple[Segment, Segmen
     """
     # Of two B frames the first: in a pyramid it is the one that the other refers to.
     middle = segment.between[(len(segment.between) - 1) // 2]
-    wrong = np.zeros(len(middle), bool)
-    wrong[np.concatenate(bent(segment, middle, settings)[1])] = True
-    # Each block is all that its macroblock has, and stays in it.
-    x = middle.x + np.maximum(leaning(middle), -MACROBLOCK / 2)
-    past = np.flatnonzero((middle.direction == PAST) & ~wrong)
-    future = np.flatnonzero((middle.direction == FUTURE) & ~wrong)
-    first = replace(middle, frame_type=FrameType.P, is_predicted=False, x=x[past],
-                    displacement=middle.displacement[past], direction=middle.direction[past],
-                    block=middle.block[past])
-    back = middle.displacement[future]
-    second = replace(segment.current, frame_type=FrameType.P, x=x[future] + back,
-                     displacement=-back, direction=-middle.direction[future],
-                     is_predicted=False, block=middle.block[future], references=middle.references)
+    to_past, to_future = compiled.halves(kernel_frame(middle),
+                                         *_bend(segment, middle, settings))
+    first = _half(middle, to_past)
+    second = replace(_half(segment.current, to_future), references=middle.references)
     return (Segment(segment.previous, first, (), _first_kind(segment)),
             Segment(first, second, (), SegmentKind.PP))
+
+
+def _half(frame: FrameVectors, columns: tuple) -> FrameVectors:
+    x, displacement, _, block = columns
+    return replace(frame, frame_type=FrameType.P, is_predicted=False, x=x, block=block,
+                   displacement=displacement, direction=np.full(len(x), PAST, np.int8))
 
 
 def _first_kind(segment: Segment) -> SegmentKind:

@@ -3,7 +3,8 @@
 from collections import deque
 
 import av
-from mv_slapse.codec import bitstream
+from mv_slapse.codec import bitstream, places
+from mv_slapse.codec.continuity import Continuity, forget, KEPT
 from mv_slapse.codec.motion_vectors import columns, FrameVectors
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
@@ -13,9 +14,8 @@ import numpy as np
 WITH_VECTORS = ('h264', 'mpeg2video', 'mpeg1video', 'mpeg4', 'h263', 'flv1')
 MAX_PIXELS = 64_000_000
 LONGEST_REORDERING = 2_000_000_000  # ns; a stamp farther back is a source that began again
-NUMBERED = ('mpeg1video', 'mpeg2video')
+LAST_STAMP = 1 << 61  # ns: 73 years, the range of the stamps of messages, and half of int64
 COPIES = 16  # packets within which a network delivers one twice: half a second
-PLACES = 1024  # values of temporal_reference
 CURE = ('re-encode it, for instance with: ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 '
         'OUTPUT.mp4, or: ffmpeg -i INPUT -c:v mpeg2video -q:v 3 -bf 3 -g 12 OUTPUT.mpg')
 
@@ -41,10 +41,8 @@ class FrameDecoder:
         self._with_luma = with_luma
         self._context = None
         self._headers = bitstream.Headers()
-        self._stamps, self._numbers = _Stamps(), _Numbers()
-        self._damage: dict[int, str] = {}
-        self._references: dict[int, int] = {}
-        self._lost = ''
+        self._places: places.Places = places.NoPlaces()
+        self._stamps, self._continuity = _Stamps(), Continuity()
         self._count = 0
         self._last_key = b''
         self._recent: deque[Packet] = deque(maxlen=COPIES)
@@ -64,7 +62,15 @@ class FrameDecoder:
         """Return the pictures that this packet makes available.
 
         Damage is a value: what cannot be decoded marks the next picture with the reason.
+
+        Raises
+        ------
+        UnusableInput
+            Where the codec gives no vectors, or the stamp is of no clock.
         """
+        if abs(packet.stamp) > LAST_STAMP:
+            raise UnusableInput(f'a packet has the stamp {packet.stamp} ns, which no clock shows; '
+                                f'give times in nanoseconds, {LAST_STAMP} at most')
         if not packet.data:
             return []  # an empty packet would put FFmpeg into its end state for good
         if packet in self._recent:
@@ -90,6 +96,7 @@ class FrameDecoder:
             codec = packet.codec
         check_codec(codec)
         self._context = av.CodecContext.create(codec, 'r')
+        self._places = places.places_of(codec, self._headers, packet.extradata)
         if packet.extradata:
             self._context.extradata = packet.extradata
             if codec == 'h264':
@@ -104,15 +111,9 @@ class FrameDecoder:
         """Give the packet a number: FFmpeg carries it through reordering, whatever the stamp."""
         self._count += 1
         self._stamps.add(self._count, packet.stamp)
-        if self._context.name == 'h264':
-            header = self._headers.read_slice(packet.data)
-            self._references[self._count] = header.references if header else self.references
-            if self._headers.is_gap(header):
-                self._damage[self._count] = 'a reference picture was lost (gap in frame_num)'
-        elif not bitstream.is_b_picture(packet.data):
+        self._continuity.add(self._count, self._places.read(packet.data))
+        if self._context.name != 'h264' and not places.is_b_picture(packet.data):
             self._last_key = packet.data
-        if self._context.name in NUMBERED:
-            self._numbers.add(self._count, packet.data)
         return _numbered(packet.data, self._count)
 
     def _decode(self, wrapped: av.Packet | None) -> list[FrameVectors]:
@@ -121,23 +122,28 @@ class FrameDecoder:
         except av.error.EOFError:
             return []
         except av.error.FFmpegError as error:
-            self._lost = f'a packet could not be decoded ({error.strerror or error})'
+            self._continuity.report(
+                self._count, f'a packet could not be decoded ({error.strerror or error})')
             self._stamps.drop(self._count)
             return []
-        return [self._read(picture) for picture in pictures if picture.pts]
+        read = [self._read(picture) for picture in pictures if picture.pts]
+        return [frame for frame in read if frame is not None]
 
-    def _read(self, picture: av.VideoFrame) -> FrameVectors:
+    def _read(self, picture: av.VideoFrame) -> FrameVectors | None:
+        """Return the vectors of a picture; None of one that no packet is known to have given."""
         kind = int(picture.pict_type)
         kind = FrameType(kind) if kind in (1, 2, 3) else FrameType.I
         stamp = self._stamps.take(picture.pts, kind)
-        damage, self._lost = self._damage.pop(picture.pts, '') or self._lost, ''
-        if not self._numbers.follows(picture.pts):
-            damage = damage or 'pictures were lost (gap in temporal_reference)'
+        if stamp is None:
+            self._continuity.report(self._count, 'a packet holds more than one picture')
+            return None
+        references = self._continuity.references(picture.pts) or (
+            self.references if kind is not FrameType.I else 1)
+        damage = self._continuity.damage(picture.pts, stamp)
         if getattr(picture, 'is_corrupt', False):
             damage = damage or 'the decoder calls the picture corrupt'
-        references = self._references.pop(picture.pts, 1)
         exported = picture.side_data.get('MOTION_VECTORS')
-        table = columns(None if exported is None else exported.to_ndarray())
+        table = columns(None if exported is None else np.frombuffer(exported, np.uint8))
         luma = _luma(picture) if self._with_luma and kind is not FrameType.B else None
         return FrameVectors(stamp, kind, picture.width, picture.height, references=references,
                             is_predicted=self._context.name == 'h264', damage=damage, luma=luma,
@@ -156,6 +162,7 @@ class _Stamps:
 
     def __init__(self):
         self._pending: dict[int, int] = {}
+        self._dropped: dict[int, int] = {}
         self._by_age = self._of_showing = False
         self._last = 0
 
@@ -163,43 +170,24 @@ class _Stamps:
         """Keep the stamp [ns] of a packet, by its number."""
         self._of_showing |= 0 < self._last - stamp < LONGEST_REORDERING
         self._pending[number] = self._last = stamp
+        for stamps in (self._pending, self._dropped):
+            forget(stamps, number - KEPT)
 
     def drop(self, number: int):
-        """Forget a packet that gives no picture."""
-        self._pending.pop(number, None)
+        """Set aside a packet that could not be decoded; FFmpeg may show it all the same."""
+        if number in self._pending:
+            self._dropped[number] = self._pending.pop(number)
 
-    def take(self, number: int, kind: FrameType) -> int:
-        """Return the stamp [ns] of the picture that a packet has given."""
+    def take(self, number: int, kind: FrameType) -> int | None:
+        """Return the stamp [ns] of the picture that a packet has given; None of a second one."""
+        if not self._by_age and number not in self._pending:
+            return self._dropped.pop(number, None)
         stamps = list(self._pending.values())
-        late = number != min(self._pending)
+        late = bool(stamps) and number != min(self._pending)
         in_order = not self._of_showing and stamps == sorted(set(stamps))
         if kind is FrameType.B and late and in_order:
             self._by_age = True
-        stamp = self._pending.pop(min(self._pending) if self._by_age else number)
-        for old in [n for n in self._pending if n < number - 64]:
-            self._pending.pop(old)
-        return stamp
-
-
-class _Numbers:
-    """Places of MPEG-1 and MPEG-2 pictures in their groups: a gap tells that some were lost."""
-
-    def __init__(self):
-        self._places: dict[int, tuple[int, int]] = {}
-        self._groups, self._next = 0, (0, 0)
-
-    def add(self, number: int, data: bytes):
-        """Note the place of a packet, by its number; packets come in the order of decoding."""
-        found = bitstream.picture_number(data)
-        if found is not None:
-            self._groups += found[0]
-            self._places[number] = self._groups, found[1]
-
-    def follows(self, number: int) -> bool:
-        """Return whether a packet's picture is the next to be shown."""
-        group, place = self._places.pop(number, self._next)
-        expected, self._next = self._next, (group, (place + 1) % PLACES)
-        return (group, place) in (expected, (expected[0] + 1, 0))
+        return self._pending.pop(min(self._pending, default=0) if self._by_age else number, None)
 
 
 def _numbered(data: bytes, number: int) -> av.Packet:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import FrameType
 import numpy as np
 
@@ -63,8 +64,8 @@ def columns(exported: np.ndarray | None) -> dict[str, np.ndarray]:
 
     Parameters
     ----------
-    exported : structured array of shape (N,), or None
-        AVMotionVector rows, None for a picture without vectors.
+    exported : (40 N,) uint8, or None
+        The bytes of AVMotionVector rows, None for a picture without vectors.
 
     Returns
     -------
@@ -72,12 +73,5 @@ def columns(exported: np.ndarray | None) -> dict[str, np.ndarray]:
     """
     if exported is None or not len(exported):
         return {}
-    x = np.empty((len(exported), 2), np.float32)
-    x[:, 0], x[:, 1] = exported['dst_x'], exported['dst_y']
-    motion = np.empty_like(x)
-    motion[:, 0], motion[:, 1] = exported['motion_x'], exported['motion_y']
-    motion /= np.maximum(exported['motion_scale'], 1).astype(np.float32)[:, None]
-    block = np.empty((len(exported), 2), np.uint8)
-    block[:, 0], block[:, 1] = exported['w'], exported['h']
-    return {'x': x - np.float32(0.5), 'displacement': motion, 'block': block,
-            'direction': np.sign(exported['source']).astype(np.int8)}
+    return dict(zip(('x', 'displacement', 'direction', 'block'),
+                    compiled.motion_vectors(exported), strict=True))

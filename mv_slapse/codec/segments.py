@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from mv_slapse.codec.motion_vectors import FrameVectors
 from mv_slapse.records import FrameType, SegmentKind
 
+SHORTEST = 100_000  # ns between pictures; no camera takes 10,000 a second
 LONGEST = 1_000_000_000  # ns between key frames; no encoder searches so far
 
 
@@ -22,6 +23,8 @@ class Segment:
         IP, PP, PI, or BROKEN where nothing joins the two.
     reason : str
         Why it is BROKEN, else empty.
+    is_torn : bool
+        Whether damage or a loss broke it: nothing, the pictures neither, can join it then.
     """
 
     previous: FrameVectors
@@ -29,6 +32,7 @@ class Segment:
     between: tuple[FrameVectors, ...]
     kind: SegmentKind
     reason: str = ''
+    is_torn: bool = False
 
 
 class SegmentBuilder:
@@ -46,7 +50,7 @@ class SegmentBuilder:
             self._previous = None if frame.frame_type is FrameType.B else frame
             return None
         last = self._between[-1] if self._between else self._previous
-        if frame.stamp <= last.stamp:
+        if frame.stamp - last.stamp < SHORTEST:
             self._damage = 'time stamps do not increase'
         self._damage = self._damage or frame.damage
         if frame.frame_type is FrameType.B:
@@ -58,8 +62,9 @@ class SegmentBuilder:
         previous, between = self._previous, tuple(self._between)
         reason = self._damage or _why_broken(previous, between, frame)
         kind = SegmentKind.BROKEN if reason else _kind(previous, frame)
+        torn = bool(self._damage)
         self._previous, self._between, self._damage = frame, [], ''
-        return Segment(previous, frame, between, kind, reason)
+        return Segment(previous, frame, between, kind, reason, torn)
 
 
 def _kind(previous: FrameVectors, current: FrameVectors) -> SegmentKind:

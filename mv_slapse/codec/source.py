@@ -2,14 +2,18 @@
 
 from collections.abc import Iterator
 from fractions import Fraction
+import os
 from pathlib import Path
+import select
+from typing import BinaryIO
 
 import av
 from mv_slapse.codec.frames import check_codec
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
 
-PROTOCOLS = 'file,rtsp,rtp,udp,tcp,http,https'
+PROTOCOLS = 'rtsp,rtp,udp,tcp,http,https,tls,crypto'
+LOCAL = 'file'  # a playlist from the network must not read files, nor a file's the network
 PATIENCE = 10.0  # s, for a network to answer
 DEFAULT_RATE = Fraction(25)
 NANOSECONDS = 10 ** 9
@@ -113,10 +117,10 @@ def open_source(path_or_url: str | Path) -> Source:
     is_url = '://' in name
     if not is_url:
         _check_file(Path(name))
-    elif name.split('://', 1)[0].lower() not in PROTOCOLS.split(','):
-        raise UnusableInput(f'{name}: protocol not allowed; use one of {PROTOCOLS}')
+    elif _protocol(name) not in (LOCAL, *PROTOCOLS.split(',')):
+        raise UnusableInput(f'{name}: protocol not allowed; use one of {LOCAL},{PROTOCOLS}')
     try:
-        container = av.open(name, **_how_to_open(name, is_url))
+        container = av.open(_place(name, is_url), **_how_to_open(name, is_url))
     except (av.error.FFmpegError, OSError) as error:
         raise UnusableInput(f'{name} cannot be opened as a video: {error}; give a video file '
                             'that FFmpeg can read, or a stream that is reachable') from error
@@ -128,7 +132,8 @@ def open_source(path_or_url: str | Path) -> Source:
 
 def _how_to_open(name: str, is_url: bool) -> dict:
     """Return the arguments of av.open: a patience for networks, the driver of cameras."""
-    options = {'protocol_whitelist': PROTOCOLS}
+    is_local = not is_url or _protocol(name) == LOCAL
+    options = {'protocol_whitelist': LOCAL if is_local else PROTOCOLS}
     if is_url:
         # UDP loses packets in silence, and a lost packet is a broken pair.
         transport = {'rtsp_transport': 'tcp'} if name.startswith('rtsp') else {}
@@ -152,13 +157,39 @@ def _checked(container, name: str) -> Source:
     return source
 
 
+def _place(name: str, is_url: bool) -> str | BinaryIO:
+    """Return what FFmpeg opens: a path that is absolute, as a colon makes a relative one a URL."""
+    if is_url:
+        return name
+    return _fifo(Path(name)) if Path(name).is_fifo() else str(Path(name).absolute())
+
+
+def _protocol(url: str) -> str:
+    return url.split('://', 1)[0].lower()
+
+
 def _check_file(path: Path):
-    if path.is_dir():
-        raise UnusableInput(f'{path} is a directory; give a video file')
-    if not path.exists():
-        raise UnusableInput(f'{path}: no such file; check the path')
-    if not path.stat().st_size and not path.is_char_device():
-        raise UnusableInput(f'{path} is empty; was the recording finished?')
+    try:
+        if path.is_dir():
+            raise UnusableInput(f'{path} is a directory; give a video file')
+        if not path.exists():
+            raise UnusableInput(f'{path}: no such file; check the path')
+        is_stream = path.is_char_device() or path.is_fifo()
+        if not path.stat().st_size and not is_stream:
+            raise UnusableInput(f'{path} is empty; was the recording finished?')
+    except (OSError, ValueError) as error:  # too long a name, one with a zero byte, no permission
+        raise UnusableInput(f'{str(path)[:200]!r} cannot be opened: {error}') from None
+
+
+def _fifo(path: Path) -> BinaryIO:
+    """Open a FIFO once it has something to read; without a writer opening would never return."""
+    number = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    if not select.select([number], [], [], PATIENCE)[0]:
+        os.close(number)
+        raise UnusableInput(f'{path} is a FIFO that nobody has written to for {PATIENCE:.0f} s; '
+                            'start the writer first')
+    os.set_blocking(number, True)
+    return os.fdopen(number, 'rb')
 
 
 def _is_interlaced(context) -> bool:

@@ -275,8 +275,8 @@ class PlaneExtractor:
         memory = self._memory
         if memory.depths is None or memory.stamp != blank.previous_stamp:
             return baseline.BaselineRatio()
-        now = baseline.from_previous((blank.width, blank.height), seen, usable,
-                                     fit.R_cur_from_prev, fit.t_cur_from_prev)
+        now = baseline.from_previous((blank.width, blank.height), seen, usable, fit,
+                                     self._settings.relief)
         return baseline.baseline_ratio(memory.depths, now, memory.steady(blank))
 
     def _ground_prior(self, blank, fit: MotionFit, ratio) -> GroundPrior:
@@ -302,7 +302,7 @@ class PlaneExtractor:
     def _refined(self, pair, found: Found, prior: GroundPrior) -> Found:
         """Re-estimate motion and planes together, (10), and judge the blocks again."""
         settings, fit, planes = self._settings, found.fit, found.planes
-        index = np.full(len(pair), joint.OFF_PLANES)
+        index = np.full(len(pair), -1)
         for i, plane in enumerate(planes):
             index[plane.member] = i
         stationary = found.evidence.epipolar_inlier & ~found.evidence.backward
@@ -358,7 +358,8 @@ class PlaneExtractor:
             blank.baseline_ratio, blank.baseline_ratio_sigma))
         self._memory = Memory(
             blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
-            baseline.depth_map(*size, blank.x_cur, evidence.rho, evidence.far_sigma,
-                            found.fit.t_cur_from_prev[2], evidence.has_depth & ~found.doubtful),
+            baseline.depth_map(size, (blank.x_cur, evidence.rho, evidence.far_sigma),
+                               found.fit.t_cur_from_prev[2], self._settings.relief,
+                               evidence.has_depth & ~found.doubtful),
             self._memory.planes, possibly_dynamic.painted(found.moving), self._memory.height,
             self._memory.grid, past.noted(blank.stamp, depths_of(pair, blank, evidence, still)))

@@ -7,6 +7,9 @@ from mv_slapse.geometry.camera import Camera, LENS_MODELS
 import numpy as np
 
 ALIASES = {'fisheye': 'equidistant', 'radtan': 'plumb_bob', '': 'plumb_bob', 'none': 'plumb_bob'}
+LARGEST = 65535  # px, width or height
+MOST_NUMBERS, GREATEST = 14, 1e9  # coefficients of a lens, and what none of them reaches
+WIDEST, LONGEST = 100, 1000  # size by focal length of the widest lens, and the converse
 N_COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8, 12, 14), 'equidistant': (4,)}
 
 
@@ -32,14 +35,26 @@ def camera_from_calibration(size: tuple[int, int], K: Any, model: str, distortio
     K = _numbers(K, 'camera matrix', origin)
     if K.size != 9:
         raise UnusableInput(f'{origin}: the camera matrix has {K.size} numbers, not 9')
-    if min(size) <= 0:
+    if min(size) <= 0 or max(size) > LARGEST:
         raise UnusableInput(f'{origin}: the picture size is {size[0]}x{size[1]}; '
                             'give image_width and image_height in pixels')
+    _check_focal_lengths(K.reshape(3, 3), size, origin)
     lens = ALIASES.get(str(model).lower(), str(model))
     try:
         return Camera(*size, K.reshape(3, 3), lens, _coefficients(lens, distortion, origin))
     except UnusableInput as error:
         raise UnusableInput(f'{origin}: {error}') from None
+
+
+def _check_focal_lengths(K: np.ndarray, size: tuple[int, int], origin: str):
+    """Refuse what no lens has: with it the numbers would leave their range further on."""
+    low, high = max(size) / WIDEST, max(size) * LONGEST
+    focal, centre = np.diag(K)[:2], K[:2, 2]
+    # zero is an uncalibrated camera, which has a message of its own
+    if np.any((focal > 0) & ((focal < low) | (focal > high))) or np.any(np.abs(centre) > high):
+        raise UnusableInput(
+            f'{origin}: no lens has the camera matrix {K.tolist()} with pictures of '
+            f'{size[0]}x{size[1]}; focal lengths and centre are in pixels')
 
 
 def check_size(camera: Camera, width: int, height: int, origin: str):
@@ -67,9 +82,13 @@ def _coefficients(lens: str, distortion: Any, origin: str) -> np.ndarray:
 def _numbers(values: Any, name: str, origin: str) -> np.ndarray:
     try:
         numbers = np.array([] if values is None else values, float).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise UnusableInput(f'{origin}: the {name} holds something that is not a number: '
-                            f'{values!r}') from None
-    if not np.all(np.isfinite(numbers)):
-        raise UnusableInput(f'{origin}: the {name} is not finite: {numbers.tolist()}')
+                            f'{repr(values)[:200]}') from None
+    if numbers.size > MOST_NUMBERS:
+        raise UnusableInput(f'{origin}: the {name} has {numbers.size} numbers; the longest there '
+                            f'is has {MOST_NUMBERS}')
+    if not np.all(np.isfinite(numbers)) or np.any(np.abs(numbers) > GREATEST):
+        raise UnusableInput(f'{origin}: the {name} is not finite, or out of range: '
+                            f'{numbers.tolist()}')
     return numbers

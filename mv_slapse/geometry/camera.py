@@ -72,10 +72,12 @@ def distort(camera: Camera, x: np.ndarray) -> np.ndarray:
 
 def to_rays(K: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return K^-1 x, homogeneous with last coordinate 1, (N, 3), of pixels (N, 2)."""
-    xy = (x - K[:2, 2]) / (K[0, 0], K[1, 1])
+    rays = np.ones((len(x), 3))
+    xy = rays[:, :2]
+    np.divide(x - K[:2, 2], (K[0, 0], K[1, 1]), out=xy)
     if K[0, 1]:
         xy[:, 0] -= K[0, 1] / K[0, 0] * xy[:, 1]
-    return np.c_[xy, np.ones(len(x))]
+    return rays
 
 
 def to_pixels(K: np.ndarray, X: np.ndarray) -> np.ndarray:

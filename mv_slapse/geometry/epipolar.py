@@ -38,28 +38,6 @@ def epipolar_error(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev)
         rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev)))
 
 
-def epipolar_jacobian(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
-    """Return epipolar_error (N,) [px] and its derivative (N, 6) by (w, t), R -> exp(w) R."""
-    c = cross(rays_cur, t_cur_from_prev)
-    line = c @ R_cur_from_prev
-    norm = _line_norm(line, focal)
-    error = np.einsum('ij,ij->i', rays_prev, line) / norm
-    # error = y . c / norm with y = R x_prev; norm^2 = sum((line / focal)^2), line = R^T c.
-    y = rays_prev @ R_cur_from_prev.T
-    slope = line[:, :2] / np.square(focal) @ R_cur_from_prev[:, :2].T
-    e_n = (error / norm)[:, None]
-    by_c = y - e_n * slope
-    jacobian = np.empty((len(error), 6))
-    jacobian[:, :3] = cross(y, c) - e_n * cross(slope, c)
-    jacobian[:, 3:] = cross(by_c, rays_cur)
-    return error, jacobian / norm[:, None]
-
-
-def _line_norm(line, focal):
-    """Length of the pixel normal of lines given in ray coordinates, never zero."""
-    return np.maximum(np.hypot(line[:, 0] / focal[0], line[:, 1] / focal[1]), 1e-12)
-
-
 def _contiguous(array) -> np.ndarray:
     return np.ascontiguousarray(array, float)
 
@@ -99,15 +77,6 @@ def inverse_depth_jacobian(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_fr
     by_y = -by_gap - by_g * t_cur_from_prev[2]
     by_y = np.c_[by_y, -np.sum(by_y * y[:, :2], axis=1)]
     return rho, np.c_[cross(y, by_y), by_g, -np.sum(by_g * y[:, :2], axis=1)]
-
-
-def reach(rays_cur, focal, t_cur_from_prev) -> np.ndarray:
-    """Parallax of points at distance 1 from camera k-1 for each ray (N, 3) of camera k, (N,) [px].
-
-    From x - y = rho_prev (t_xy - x t_z): free of the noise of the match, as x is exact.
-    """
-    g = (t_cur_from_prev[:2] - rays_cur[:, :2] * t_cur_from_prev[2]) * focal
-    return np.maximum(np.hypot(g[:, 0], g[:, 1]), 1e-9)
 
 
 def parallax(rays_cur, rays_prev, focal, R_cur_from_prev):

@@ -4,7 +4,8 @@
 the base's pose at that moment (x forward, y left, z up, REP-103). With B the pose of the camera on
 the base, X_base = B X_cam, a point moves by X_odom = B X_W, and a pose by conjugation:
 T_odom_from_base = B T_world_from_cam B^-1. Where nothing is known of the base it is the camera
-itself with turned axes, and B is the fixed rotation R_BODY_FROM_OPTICAL.
+itself with turned axes, and B is the fixed rotation R_BODY_FROM_OPTICAL. Where odom is to begin
+elsewhere, S is the base's pose in odom at that moment: X_odom = S B X_W.
 
 Every conversion has its inverse, and carries covariances by its Jacobian.
 """
@@ -26,6 +27,8 @@ class RosFrames:
         Frame ids; ``camera`` is the optical frame of the pictures.
     R_base_from_cam, t_base_from_cam : (3, 3), (3,) float64
         X_base = R X_cam + t [m or map unit].
+    R_odom_from_start, t_odom_from_start : (3, 3), (3,) float64
+        Pose in odom of the base at the first key frame, usually none.
     """
 
     odom: str = 'odom'
@@ -33,11 +36,25 @@ class RosFrames:
     camera: str = 'camera_optical'
     R_base_from_cam: np.ndarray = field(default_factory=R_BODY_FROM_OPTICAL.copy)
     t_base_from_cam: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    R_odom_from_start: np.ndarray = field(default_factory=lambda: np.eye(3))
+    t_odom_from_start: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def R_odom_from_world(self) -> np.ndarray:
+        """Rotation (3, 3) from {W} to odom."""
+        return self.R_odom_from_start @ self.R_base_from_cam
+
+    @property
+    def t_odom_from_world(self) -> np.ndarray:
+        """Place (3,) of {W}'s origin in odom."""
+        return self.R_odom_from_start @ self.t_base_from_cam + self.t_odom_from_start
 
     def inverse(self) -> 'RosFrames':
         """Return the frames that undo these: what maps {W} to odom then maps odom to {W}."""
-        R = self.R_base_from_cam.T
-        return RosFrames(self.camera, self.camera, self.base, R, -R @ self.t_base_from_cam)
+        R, b = self.R_base_from_cam.T, self.t_base_from_cam
+        R_start, t_start = self.R_odom_from_start.T, self.t_odom_from_start
+        return RosFrames(self.camera, self.camera, self.base, R, -R @ b, R @ R_start @ R.T,
+                         R @ (R_start @ (b - t_start) - b))
 
 
 @dataclass(frozen=True)
@@ -72,10 +89,11 @@ def skew(v: np.ndarray) -> np.ndarray:
 
 def pose_to_odom(world_from_cam: Pose, frames: RosFrames) -> Pose:
     """Return the pose of the base in odom of a pose of the camera in {W}."""
-    B, b = frames.R_base_from_cam, frames.t_base_from_cam
-    lever = -world_from_cam.R @ (B.T @ b)  # from the camera to the base, in {W}
-    J = np.block([[B, -B @ skew(lever)], [np.zeros((3, 3)), B]])
-    return Pose(B @ world_from_cam.R @ B.T, B @ (world_from_cam.t + lever) + b,
+    B, A = frames.R_base_from_cam, frames.R_odom_from_world
+    lever = -world_from_cam.R @ (B.T @ frames.t_base_from_cam)  # from camera to base, in {W}
+    J = np.block([[A, -A @ skew(lever)], [np.zeros((3, 3)), A]])
+    return Pose(A @ world_from_cam.R @ B.T,
+                A @ (world_from_cam.t + lever) + frames.t_odom_from_world,
                 J @ world_from_cam.covariance @ J.T)
 
 
@@ -104,34 +122,34 @@ def twist_to_world(twist: Twist, R_world_from_cam: np.ndarray, frames: RosFrames
 
 def points_to_odom(X_world: np.ndarray, frames: RosFrames) -> np.ndarray:
     """Return points (..., 3) of {W} in odom."""
-    return vectors_to_odom(X_world, frames) + frames.t_base_from_cam
+    return vectors_to_odom(X_world, frames) + frames.t_odom_from_world
 
 
 def points_to_world(X_odom: np.ndarray, frames: RosFrames) -> np.ndarray:
     """Return points (..., 3) of odom in {W}."""
-    return vectors_to_world(np.asarray(X_odom, float) - frames.t_base_from_cam, frames)
+    return vectors_to_world(np.asarray(X_odom, float) - frames.t_odom_from_world, frames)
 
 
 def vectors_to_odom(v_world: np.ndarray, frames: RosFrames) -> np.ndarray:
     """Return directions or velocities (..., 3) of {W} in odom."""
-    return np.asarray(v_world, float) @ frames.R_base_from_cam.T
+    return np.asarray(v_world, float) @ frames.R_odom_from_world.T
 
 
 def vectors_to_world(v_odom: np.ndarray, frames: RosFrames) -> np.ndarray:
     """Return directions or velocities (..., 3) of odom in {W}."""
-    return np.asarray(v_odom, float) @ frames.R_base_from_cam
+    return np.asarray(v_odom, float) @ frames.R_odom_from_world
 
 
 def state_covariance_to_odom(covariance: np.ndarray, frames: RosFrames) -> np.ndarray:
     """Return the covariance (6, 6) in odom of (position, velocity) in {W}."""
-    J = np.kron(np.eye(2), frames.R_base_from_cam)
+    J = np.kron(np.eye(2), frames.R_odom_from_world)
     return J @ covariance @ J.T
 
 
 def normal_depth_to_odom(normal: np.ndarray, depth: float, covariance: np.ndarray,
                          frames: RosFrames) -> tuple[np.ndarray, float, np.ndarray]:
     """Return normal (3,), depth and their covariance (4, 4) in odom of a plane of {W}."""
-    R, t = frames.R_base_from_cam, frames.t_base_from_cam
+    R, t = frames.R_odom_from_world, frames.t_odom_from_world
     J = np.block([[R, np.zeros((3, 1))], [-t @ R, np.ones((1, 1))]])
     moved = J @ np.r_[normal, depth]
     return moved[:3], float(moved[3]), J @ covariance @ J.T
@@ -139,14 +157,14 @@ def normal_depth_to_odom(normal: np.ndarray, depth: float, covariance: np.ndarra
 
 def plane_to_odom(plane: np.ndarray, frames: RosFrames) -> np.ndarray:
     """Return n/d (3,) in odom of a plane n/d of {W}."""
-    turned = frames.R_base_from_cam @ plane
-    return turned / (1 - turned @ frames.t_base_from_cam)
+    turned = frames.R_odom_from_world @ plane
+    return turned / (1 - turned @ frames.t_odom_from_world)
 
 
 def plane_velocity_covariance_to_odom(plane: np.ndarray, covariance: np.ndarray,
                                       frames: RosFrames) -> np.ndarray:
     """Return the covariance (6, 6) in odom of (plane n/d, velocity) in {W}."""
-    R, t = frames.R_base_from_cam, frames.t_base_from_cam
+    R, t = frames.R_odom_from_world, frames.t_odom_from_world
     scale = 1 - (R @ plane) @ t
     of_plane = R / scale + np.outer(R @ plane, t @ R) / scale**2
     J = np.block([[of_plane, np.zeros((3, 3))], [np.zeros((3, 3)), R]])

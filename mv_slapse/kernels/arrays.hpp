@@ -1,6 +1,6 @@
 // Checked views of numpy arrays. A kernel takes `In<float> x{"merge", "x", object, {ANY, 2}}` for
-// each argument: a wrong one raises ValueError with the names of kernel and argument. Arrays are
-// never copied, so that a wrong type is an error at the border instead of a slow call.
+// each argument: a wrong one raises ValueError with the names of kernel and argument. Only arrays
+// that are not contiguous are copied; a wrong type is an error at the border, no slow call.
 
 #pragma once
 
@@ -29,7 +29,7 @@ inline void require(bool good, const char* kernel, const char* what) {
   if (!good) refuse(kernel, what);
 }
 
-// A read-only array of T with a given number of axes, C-contiguous and aligned.
+// A read-only array of T with a given number of axes.
 template <typename T>
 class In {
  public:
@@ -43,16 +43,20 @@ class In {
       refuse(kernel, says(name, shape, "has shape " + std::string(py::str(array_.attr("shape")))));
     constexpr int good = py::array::c_style | py::detail::npy_api::NPY_ARRAY_ALIGNED_;
     if ((array_.flags() & good) != good)
-      refuse(kernel, says(name, shape, "is not contiguous (use numpy.ascontiguousarray)"));
+      array_ = py::array_t<T, py::array::c_style | py::array::forcecast>::ensure(
+          array_.attr("copy")("C"));
     data_ = static_cast<const T*>(array_.data());
+    columns_ = array_.ndim() > 1 ? array_.shape(1) : 1;
     if constexpr (std::is_floating_point_v<T>)
-      if (check == Check::finite)
-        for (py::ssize_t i = 0; i < array_.size(); ++i)
-          if (!std::isfinite(data_[i])) refuse(kernel, says(name, shape, "is not finite"));
+      if (check == Check::finite) {
+        bool finite = true;  // without a way out, so that the compiler can take several at a time
+        for (py::ssize_t i = 0, n = array_.size(); i < n; ++i) finite &= std::isfinite(data_[i]);
+        if (!finite) refuse(kernel, says(name, shape, "is not finite"));
+      }
   }
 
   const T& operator[](py::ssize_t i) const { return data_[i]; }
-  const T& operator()(py::ssize_t i, py::ssize_t j) const { return data_[i * array_.shape(1) + j]; }
+  const T& operator()(py::ssize_t i, py::ssize_t j) const { return data_[i * columns_ + j]; }
   const T* data() const { return data_; }
   py::ssize_t size(int axis = 0) const { return array_.shape(axis); }
 
@@ -70,11 +74,12 @@ class In {
     std::string text = std::string(name) + " " + what + "; it must be " +
                        std::string(py::str(py::dtype::of<T>())) + " of shape (";
     for (const auto length : shape) text += (length == ANY ? "N" : std::to_string(length)) + ", ";
-    return text + ") in C order";
+    return text + ")";
   }
 
   py::array array_;
   const T* data_;
+  py::ssize_t columns_;  // looked up once: asking the array for it costs more than the access
 };
 
 // A new array of T for results, zeros at first.
@@ -82,18 +87,20 @@ template <typename T>
 class Out {
  public:
   explicit Out(std::initializer_list<py::ssize_t> shape)
-      : array_(std::vector<py::ssize_t>(shape)), data_(array_.mutable_data()) {
+      : array_(std::vector<py::ssize_t>(shape)), data_(array_.mutable_data()),
+        columns_(array_.ndim() > 1 ? array_.shape(1) : 1) {
     std::fill(data_, data_ + array_.size(), T{});
   }
 
   T& operator[](py::ssize_t i) { return data_[i]; }
-  T& operator()(py::ssize_t i, py::ssize_t j) { return data_[i * array_.shape(1) + j]; }
+  T& operator()(py::ssize_t i, py::ssize_t j) { return data_[i * columns_ + j]; }
   T* data() { return data_; }
   const py::array_t<T>& array() const { return array_; }
 
  private:
   py::array_t<T> array_;
   T* data_;
+  py::ssize_t columns_;
 };
 
 }  // namespace kernels

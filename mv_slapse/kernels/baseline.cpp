@@ -15,7 +15,6 @@ constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
 
 struct Policy {
   double same_surface;  // share of inverse depth by which blocks of one surface differ next door
-  double relief;        // depth of a surface about its plane, as a share of depth
   double max_spread;    // a depth's error by which two pairs may differ, as a share of it
   double change;        // common change of log(speed) from pair to pair
   int min_neighbours, min_blocks;
@@ -24,30 +23,31 @@ struct Policy {
 struct Map {  // see DepthMap
   In<std::int64_t> grid;
   In<double> x, rho, noise;
-  double approach;
+  double approach, relief;
 
   // Of a block where its surface has about `depth`: a block's own depth must not set its weight in
   // a mean, as what errs low would count more.
-  double sigma(std::int64_t block, double depth, double relief) const {
+  double variance(std::int64_t block, double depth) const {
     const double along = 1 - depth * approach, own = noise[block] * along * along;
-    return std::max(std::sqrt(own * own + relief * relief * depth * depth), 1e-12);
+    return std::max(own * own + relief * relief * depth * depth, 1e-24);
   }
 };
 
 Map map_of(const char* kernel, const py::tuple& of) {
-  require(of.size() == 5, kernel, "a map must be (grid, x, rho, noise, approach)");
+  require(of.size() == 6, kernel, "a map must be (grid, x, rho, noise, approach, relief)");
   const In<double> rho(kernel, "rho", of[2], {ANY});
   const In<std::int64_t> grid(kernel, "grid", of[0], {ANY, ANY});
   require(grid.size(0) > 2 && grid.size(1) > 2, kernel, "grid must have a margin of one");
   for (py::ssize_t k = 0; k < grid.size(0) * grid.size(1); ++k)
     require(grid[k] < rho.size(), kernel, "grid names a block that is not given");
   return {grid, In<double>(kernel, "x", of[1], {rho.size(), 2}, Check::finite), rho,
-          In<double>(kernel, "noise", of[3], {rho.size()}), of[4].cast<double>()};
+          In<double>(kernel, "noise", of[3], {rho.size()}), of[4].cast<double>(),
+          of[5].cast<double>()};
 }
 
 Policy policy_of(const char* kernel, const py::object& values) {
-  const In<double> of(kernel, "policy", values, {6}, Check::finite);
-  return {of[0], of[1], of[2], of[3], static_cast<int>(of[4]), static_cast<int>(of[5])};
+  const In<double> of(kernel, "policy", values, {5}, Check::finite);
+  return {of[0], of[1], of[2], static_cast<int>(of[3]), static_cast<int>(of[4])};
 }
 
 std::int64_t cell(double x, std::int64_t count) {
@@ -73,9 +73,8 @@ void interpolate(const Map& map, const Policy& policy, double x, double y, doubl
     const auto block = map.grid(row + k / 3, column + k % 3);
     if (block < 0) continue;
     const double rho = map.rho[block];
-    if (!(std::abs(rho - there) <
-          policy.same_surface * there + 3 * map.sigma(block, rho, policy.relief)))
-      continue;
+    const double gap = std::abs(rho - there) - policy.same_surface * there;
+    if (gap >= 0 && !(gap * gap < 9 * map.variance(block, rho))) continue;  // 3 sigma
     near[count++] = block;
     mean += rho;
   }
@@ -84,7 +83,7 @@ void interpolate(const Map& map, const Policy& policy, double x, double y, doubl
   // A plane by least squares: s, sx, ... are the sums of its normal equations.
   double s = 0, sx = 0, sy = 0, sxx = 0, sxy = 0, syy = 0, r = 0, rx = 0, ry = 0;
   for (int k = 0; k < count; ++k) {
-    const double sigma = map.sigma(near[k], mean, policy.relief), w = 1 / (sigma * sigma);
+    const double w = 1 / map.variance(near[k], mean);
     const double dx = (map.x(near[k], 0) - x) / SIZE, dy = (map.x(near[k], 1) - y) / SIZE;
     const double rho = map.rho[near[k]];
     s += w;
@@ -109,26 +108,26 @@ struct Ratio {
   double log = 0, sigma = std::numeric_limits<double>::infinity();
 };
 
-// Lorentzian support of each candidate for the mode; of two modes the one nearer to what is
-// expected may be the smaller.
-double mode(const std::vector<double>& value, const std::vector<double>& inverse_width,
-            const Policy& policy, double expected) {
-  std::vector<double> sorted = value, x = value, width = inverse_width;
-  std::sort(sorted.begin(), sorted.end());
-  while (x.size() % LANES) {  // by what counts nothing
-    x.push_back(0);
-    width.push_back(0);
-  }
-  constexpr int CANDIDATES = 61;  // quantiles, from 0.05 to 0.95
+// Values with one over their kernels' widths, padded to whole lanes by ones that count nothing.
+struct Values {
+  explicit Values(std::size_t n)
+      : count(n), x((n + LANES - 1) / LANES * LANES), inverse(x.size()) {}
+  std::size_t count;
+  std::vector<double> x, inverse;
+};
+
+// The value with the largest Lorentzian support, of at most 31 from all over the picture, which
+// holds them row by row; of two modes the one nearer to what is expected may be the smaller.
+KERNELS_WIDE
+double mode(const Values& values, const Policy& policy, double expected) {
+  const std::size_t candidates = std::min<std::size_t>(values.count, 31);
   double best = -1, at = 0;
-  for (int k = 0; k < CANDIDATES; ++k) {
-    const double place = (0.05 + 0.9 * k / (CANDIDATES - 1)) * (sorted.size() - 1);
-    const auto low = static_cast<std::size_t>(place);
-    const double high = sorted[std::min(low + 1, sorted.size() - 1)];
-    const double candidate = sorted[low] + (place - low) * (high - sorted[low]);
+  for (std::size_t k = 0; k < candidates; ++k) {
+    const double candidate = values.x[k * values.count / candidates];
     Four total = {};
-    for (std::size_t i = 0; i < x.size(); i += LANES) {
-      const Four inverse = load(&width[i]), off = (load(&x[i]) - candidate) * inverse;
+    for (std::size_t i = 0; i < values.x.size(); i += LANES) {
+      const Four inverse = load(&values.inverse[i]);
+      const Four off = (load(&values.x[i]) - candidate) * inverse;
       total += inverse / (1.0 + off * off);
     }
     const double unlike = (candidate - expected) / policy.change;
@@ -142,33 +141,34 @@ double mode(const std::vector<double>& value, const std::vector<double>& inverse
 }
 
 // Mode of values with errors sigma, refined; far values count nothing.
-Ratio robust_mean(std::vector<double> value, const std::vector<double>& sigma,
-                  const Policy& policy, double expected) {
-  const std::size_t n = value.size();
+Ratio robust_mean(const double* value, const double* sigma, std::size_t n, const Policy& policy,
+                  double expected) {
   if (n < static_cast<std::size_t>(policy.min_blocks)) return {};
-  std::vector<double> inverse(n);
-  for (std::size_t i = 0; i < n; ++i) inverse[i] = 1 / (3 * std::max(sigma[i], 0.02));
-  double mean = mode(value, inverse, policy, expected), total = 0;
-  std::vector<double> weight(n);
-  for (int step = 0; step < 8; ++step) {
-    double sum_ = 0;
-    total = 0;
-    for (std::size_t i = 0; i < n; ++i) {
-      const double off = (value[i] - mean) * inverse[i], kernel = inverse[i] / (1 + off * off);
-      weight[i] = kernel * kernel;
-      sum_ += weight[i] * value[i];
-      total += weight[i];
-    }
-    mean = sum_ / total;
-  }
-  double square = 0;
-  int inliers = 0;
+  Values values(n);
   for (std::size_t i = 0; i < n; ++i) {
-    square += weight[i] * (value[i] - mean) * (value[i] - mean);
-    inliers += std::abs(value[i] - mean) * inverse[i] < 1;
+    values.x[i] = value[i];
+    values.inverse[i] = 1 / (3 * std::max(sigma[i], 0.02));
   }
+  double mean = mode(values, policy, expected), scatter = 0;
+  for (int step = 0; step < 8; ++step) {
+    Four total = {}, first = {}, second = {};
+    for (std::size_t i = 0; i < values.x.size(); i += LANES) {
+      const Four inverse = load(&values.inverse[i]), off = load(&values.x[i]) - mean;
+      const Four scaled = off * inverse, kernel = inverse / (1.0 + scaled * scaled);
+      const Four weight = kernel * kernel;
+      total += weight;
+      first += weight * off;
+      second += weight * off * off;
+    }
+    const double move = sum(first) / sum(total);
+    scatter = sum(second) / sum(total) - move * move;  // about the mean that they have
+    mean += move;
+  }
+  int inliers = 0;
+  for (std::size_t i = 0; i < n; ++i)
+    inliers += std::abs(value[i] - mean) * values.inverse[i] < 1;
   if (inliers < policy.min_blocks) return {};
-  return {mean, std::sqrt(square / total / inliers)};
+  return {mean, std::sqrt(std::max(scatter, 0.0) / inliers)};
 }
 
 // Robust mean of log(rho / rho around it in the other map). Errors are shares of the smooth depth,
@@ -193,15 +193,13 @@ Ratio excess(const Map& single, const Map& smooth, const Policy& policy, double 
   std::size_t kept = 0;
   for (std::size_t i = 0; i < value.size(); ++i) {
     const double likely = likely_ratio * around[i];
-    const double own = single.sigma(block[i], likely, policy.relief) / likely;
-    const double other = error[i] / around[i], spread = std::sqrt(own * own + other * other);
+    const double own = single.variance(block[i], likely) / (likely * likely);
+    const double other = error[i] / around[i], spread = std::sqrt(own + other * other);
     if (!(spread < policy.max_spread)) continue;
     value[kept] = value[i];
     error[kept++] = spread;
   }
-  value.resize(kept);
-  error.resize(kept);
-  return robust_mean(value, error, policy, expected);
+  return robust_mean(value.data(), error.data(), kept, policy, expected);
 }
 
 }  // namespace
@@ -265,8 +263,8 @@ void bind_baseline(pybind11::module_& module) {
     const char* kernel = "robust_mean";
     const In<double> values(kernel, "value", value, {ANY}, Check::finite);
     const In<double> errors(kernel, "sigma", sigma, {values.size()}, Check::finite);
-    const Ratio out = robust_mean({values.data(), values.data() + values.size()},
-                                  {errors.data(), errors.data() + errors.size()},
+    const Ratio out = robust_mean(values.data(), errors.data(),
+                                  static_cast<std::size_t>(values.size()),
                                   policy_of(kernel, policy), expected);
     return py::make_tuple(out.log, out.sigma);
   });

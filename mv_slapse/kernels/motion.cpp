@@ -41,7 +41,7 @@ struct Policy {  // of the refinement
 // of (t_xy - x'_prev t_z) . (x_cur - x'_prev), the epipole e = t_xy / t_z kept homogeneous.
 double behind(const Blocks& blocks, const TwoView& view) {
   double against = 0, all = 0;
-  for (std::size_t i = 0; i < blocks.count(); ++i) {
+  for (std::size_t i = 0; i < blocks.count; ++i) {
     const Vec3 y = view.R * Vec3{blocks.u[i], blocks.v[i], 1};
     const double yx = y[0] / y[2], yy = y[1] / y[2];
     const double gx = view.fx * (blocks.x[i] - yx), gy = view.fy * (blocks.y[i] - yy);
@@ -125,7 +125,7 @@ void turn(const Blocks& blocks, TwoView& view, int steps, double* off, Mat3& A) 
   for (int step = 0; step < steps; ++step, width = std::max(width / 2, 2.0)) {
     A = {};
     Vec3 b{};
-    for (std::size_t i = 0; i < blocks.count(); ++i) {
+    for (std::size_t i = 0; i < blocks.count; ++i) {
       const Vec3 y = view.R * Vec3{blocks.u[i], blocks.v[i], 1};
       const double ix = y[0] / y[2], iy = y[1] / y[2], fx = view.fx, fy = view.fy;
       const double ex = fx * (ix - blocks.x[i]), ey = fy * (iy - blocks.y[i]);
@@ -153,10 +153,10 @@ double noise_scale(const Blocks& blocks, const TwoView& view, double scale, std:
   constexpr double CUT = 3, MEDIAN = 0.6724;  // sigma
   const auto error = epipolar_errors(blocks, view);
   std::vector<double> close;
-  close.reserve(blocks.count());
+  close.reserve(blocks.count);
   for (int pass = 0; pass < 3; ++pass) {
     close.clear();
-    for (std::size_t i = 0; i < blocks.count(); ++i)
+    for (std::size_t i = 0; i < blocks.count; ++i)
       if (std::abs(error[i]) < CUT * scale) close.push_back(std::abs(error[i]));
     if (close.size() < least) break;
     scale = std::clamp(median(close) / MEDIAN, 0.3, 4.0);  // beyond it is no noise
@@ -169,7 +169,8 @@ double noise_scale(const Blocks& blocks, const TwoView& view, double scale, std:
 
 void bind_motion(pybind11::module_& module) {
   using namespace kernels;
-  // -> R (3, 3), t (3,), covariance (6, 6), mean robust cost
+  // -> R (3, 3), t (3,) with the sign that puts most before the camera, covariance (6, 6), mean
+  // robust cost, share behind the camera
   module.def("refine_motion", [](const py::object& rays_cur, const py::object& rays_prev,
                                  const py::object& sigma, const py::object& focal,
                                  const py::object& R, const py::object& t,
@@ -180,12 +181,17 @@ void bind_motion(pybind11::module_& module) {
     require(steps.size() > 0, kernel, "widths must hold one width at least");
     TwoView view = two_view(kernel, R, t, focal);
     refine(blocks, view, {steps.data(), static_cast<int>(steps.size()), settled});
+    double share = behind(blocks, view);
+    if (share > 0.5) {
+      view.t = -1.0 * view.t;
+      share = behind(blocks, view);
+    }
     const double width = steps[steps.size() - 1];
     const auto at = epipolar_terms(blocks, view, width);
-    const double n = std::max<double>(1, static_cast<double>(blocks.count()));
+    const double n = std::max<double>(1, static_cast<double>(blocks.count));
     return py::make_tuple(matrix_of(view.R, {3, 3}), matrix_of(view.t, {3}),
                           matrix_of(motion_covariance(view, at), {6, 6}),
-                          at.cost / (width * width) / n);
+                          at.cost / (width * width) / n, share);
   });
   // -> share
   module.def("behind", [](const py::object& rays_cur, const py::object& rays_prev,
@@ -202,7 +208,7 @@ void bind_motion(pybind11::module_& module) {
     const char* kernel = "fit_turn";
     const Blocks blocks = PairArrays(kernel, rays_cur, rays_prev, sigma).blocks();
     TwoView view = two_view(kernel, R, matrix_of(Vec3{}, {3}), focal);
-    Out<double> off({static_cast<py::ssize_t>(blocks.count())});
+    Out<double> off({static_cast<py::ssize_t>(blocks.count)});
     Mat3 A{};
     turn(blocks, view, steps, off.data(), A);
     return py::make_tuple(matrix_of(view.R, {3, 3}), matrix_of(A, {3, 3}), off.array());

@@ -42,29 +42,44 @@ inline Depth depth(const TwoView& view, double x, double y, const Vec3& prev) {
   return out;
 }
 
+KERNELS_WIDE
 void judge(const Blocks& blocks, const TwoView& view, const Bounds& bounds, Columns& out) {
   const auto error = epipolar_errors(blocks, view);
+  const double fx = view.fx, fy = view.fy;
   const Vec3& t = view.t;
-  for (std::size_t i = 0; i < blocks.count(); ++i) {
-    const double x = blocks.x[i], y = blocks.y[i], sigma = blocks.sigma[i];
-    const Depth of = depth(view, x, y, {blocks.u[i], blocks.v[i], 1});
-    const double blur = of.per_pixel * sigma, rough = bounds.relief * of.rho;
-    const double parallax = std::sqrt(of.flow_x * of.flow_x + of.flow_y * of.flow_y);
+  for (std::size_t i = 0; i < blocks.x.size(); i += LANES) {
+    const Four x = load(&blocks.x[i]), y = load(&blocks.y[i]), sigma = load(&blocks.sigma[i]);
+    const Four3 d = view.R * Four3{load(&blocks.u[i]), load(&blocks.v[i]), Four{} + 1.0};
+    const Four inverse = 1.0 / d.z, dx = d.x * inverse, dy = d.y * inverse;
+    const Four flow_x = (x - dx) * fx, flow_y = (y - dy) * fy;
+    // As in `depth`.
+    const Four gx = (t[0] - dx * t[2]) * fx, gy = (t[1] - dy * t[2]) * fy;
+    const Four square = at_least(gx * gx + gy * gy, 1e-18);
+    const Four rho = (flow_x * gx + flow_y * gy) / square, ahead = 1.0 - rho * t[2];
+    const Four blur = (ahead < 0.0 ? -ahead : ahead) / root(square) * sigma;
+    const Four rough = bounds.relief * rho;
     // Parallax of points at distance 1 from camera k-1: free of the noise of the match.
-    const double rx = (t[0] - x * t[2]) * view.fx, ry = (t[1] - y * t[2]) * view.fy;
-    const bool inlier = std::abs(error[i]) < bounds.epsilon_f, near = parallax >= bounds.epsilon_m;
-    out.error[i] = error[i];
-    out.rho[i] = of.rho;
-    out.blur[i] = blur;
-    out.sigma_rho[i] = std::sqrt(blur * blur + rough * rough);
-    out.far_sigma[i] = sigma / std::max(std::sqrt(rx * rx + ry * ry), 1e-9);
-    out.parallax[i] = parallax;
-    out.flow(i, 0) = of.flow_x;
-    out.flow(i, 1) = of.flow_y;
-    out.inlier[i] = inlier;
-    out.at_infinity[i] = inlier && !near;
-    out.backward[i] = inlier && near && of.rho < -3 * blur;
-    out.has_depth[i] = inlier && near && of.rho > 0;
+    const Four rx = (t[0] - x * t[2]) * fx, ry = (t[1] - y * t[2]) * fy;
+    const Four reach = at_least(root(rx * rx + ry * ry), 1e-9);
+    const Four columns[7] = {rho, root(blur * blur + rough * rough), blur, sigma / reach,
+                             root(flow_x * flow_x + flow_y * flow_y), flow_x, flow_y};
+    for (std::size_t j = 0; j < std::min(LANES, blocks.count - i); ++j) {
+      const auto at = static_cast<py::ssize_t>(i + j);
+      const bool inlier = std::abs(error[at]) < bounds.epsilon_f;
+      const bool near = columns[4][j] >= bounds.epsilon_m;
+      out.error[at] = error[at];
+      out.rho[at] = columns[0][j];
+      out.sigma_rho[at] = columns[1][j];
+      out.blur[at] = columns[2][j];
+      out.far_sigma[at] = columns[3][j];
+      out.parallax[at] = columns[4][j];
+      out.flow(at, 0) = columns[5][j];
+      out.flow(at, 1) = columns[6][j];
+      out.inlier[at] = inlier;
+      out.at_infinity[at] = inlier && !near;
+      out.backward[at] = inlier && near && out.rho[at] < -3 * out.blur[at];
+      out.has_depth[at] = inlier && near && out.rho[at] > 0;
+    }
   }
 }
 
@@ -81,7 +96,7 @@ void bind_observations(pybind11::module_& module) {
     const char* kernel = "observe_blocks";
     const Blocks blocks = PairArrays(kernel, rays_cur, rays_prev, sigma).blocks();
     const In<double> of(kernel, "bounds", bounds, {3}, Check::finite);
-    Columns out(static_cast<py::ssize_t>(blocks.count()));
+    Columns out(static_cast<py::ssize_t>(blocks.count));
     judge(blocks, two_view(kernel, R, t, focal), {of[0], of[1], of[2]}, out);
     return py::make_tuple(out.error.array(), out.rho.array(), out.sigma_rho.array(),
                           out.blur.array(), out.far_sigma.array(), out.parallax.array(),

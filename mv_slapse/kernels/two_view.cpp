@@ -8,25 +8,12 @@
 
 namespace kernels {
 
-void Blocks::reserve(std::size_t n) {
-  for (auto* column : {&x, &y, &u, &v, &sigma, &counts}) column->reserve(n + LANES);
-}
-
-void Blocks::add(double x_, double y_, double u_, double v_, double sigma_) {
-  x.push_back(x_);
-  y.push_back(y_);
-  u.push_back(u_);
-  v.push_back(v_);
-  sigma.push_back(sigma_);
-  counts.push_back(1);
-  ++count_;
-}
-
-void Blocks::pad() {
-  while (x.size() % LANES) {
-    for (auto* column : {&x, &y, &u, &v, &sigma}) column->push_back(column->back());
-    counts.push_back(0);
-  }
+Blocks::Blocks(std::size_t n) : count(n) {
+  const std::size_t padded = (n + LANES - 1) / LANES * LANES;
+  for (auto* column : {&x, &y, &u, &v}) column->resize(padded);
+  sigma.resize(padded, 1);
+  counts.resize(padded);
+  std::fill_n(counts.begin(), n, 1);
 }
 
 double median(std::vector<double>& values) {
@@ -83,11 +70,12 @@ void mirror(Equations<N>& out) {
 
 }  // namespace
 
+KERNELS_WIDE
 Equations<6> epipolar_terms(const Blocks& blocks, const TwoView& view, double width) {
   const Mat3 Rt = transposed(view.R);
   const double shrink = 1 / (width * width);
   Four A[21] = {}, b[6] = {}, cost = {}, weights = {}, squares = {};
-  for (std::size_t i = 0; i < blocks.padded(); i += LANES) {
+  for (std::size_t i = 0; i < blocks.x.size(); i += LANES) {
     const Four3 x = ray(blocks.x, blocks.y, i), prev = ray(blocks.u, blocks.v, i);
     const Line line = epipolar_line(view, Rt, x, prev);
     const Four sigma = load(&blocks.sigma[i]), counts = load(&blocks.counts[i]);
@@ -123,10 +111,11 @@ Equations<6> epipolar_terms(const Blocks& blocks, const TwoView& view, double wi
   return out;
 }
 
+KERNELS_WIDE
 std::vector<double> epipolar_errors(const Blocks& blocks, const TwoView& view) {
   const Mat3 Rt = transposed(view.R);
-  std::vector<double> out(blocks.padded());
-  for (std::size_t i = 0; i < blocks.padded(); i += LANES) {
+  std::vector<double> out(blocks.x.size());
+  for (std::size_t i = 0; i < blocks.x.size(); i += LANES) {
     const Line line = epipolar_line(view, Rt, ray(blocks.x, blocks.y, i),
                                     ray(blocks.u, blocks.v, i));
     store(line.error / load(&blocks.sigma[i]), &out[i]);
@@ -134,11 +123,12 @@ std::vector<double> epipolar_errors(const Blocks& blocks, const TwoView& view) {
   return out;
 }
 
+KERNELS_WIDE
 double epipolar_cost(const Blocks& blocks, const TwoView& view, double width) {
   const Mat3 Rt = transposed(view.R);
   const double shrink = 1 / (width * width);
   Four cost = {};
-  for (std::size_t i = 0; i < blocks.padded(); i += LANES) {
+  for (std::size_t i = 0; i < blocks.x.size(); i += LANES) {
     const Line line = epipolar_line(view, Rt, ray(blocks.x, blocks.y, i),
                                     ray(blocks.u, blocks.v, i));
     const Four scaled = line.error / load(&blocks.sigma[i]), m2 = scaled * scaled;
@@ -147,6 +137,7 @@ double epipolar_cost(const Blocks& blocks, const TwoView& view, double width) {
   return sum(cost);
 }
 
+KERNELS_WIDE
 Equations<9> plane_terms(const Blocks& blocks, const TwoView& view, const Vec3& plane,
                          const PlaneNoise& noise) {
   const Mat3 Rt = transposed(view.R);
@@ -154,7 +145,7 @@ Equations<9> plane_terms(const Blocks& blocks, const TwoView& view, const Vec3& 
   const double shrink = 1 / (noise.width * noise.width), relief2 = noise.relief * noise.relief;
   const double across = 1 / noise.across, lengthwise = 1 / noise.along;
   Four A[45] = {}, b[9] = {}, cost = {};
-  for (std::size_t i = 0; i < blocks.padded(); i += LANES) {
+  for (std::size_t i = 0; i < blocks.x.size(); i += LANES) {
     const Four3 x = ray(blocks.x, blocks.y, i);
     const Four u = load(&blocks.u[i]), v = load(&blocks.v[i]), sigma = load(&blocks.sigma[i]);
     const Four counts = load(&blocks.counts[i]), variance = sigma * sigma;

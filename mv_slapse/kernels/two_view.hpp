@@ -18,18 +18,18 @@ struct TwoView {
 
 // Correspondences by column, padded to whole lanes by ones that count nothing. Rays are (x, y, 1)
 // in camera k and (u, v, 1) in camera k-1, with a standard deviation of (u, v) [px].
-class Blocks {
- public:
-  void reserve(std::size_t n);
-  void add(double x, double y, double u, double v, double sigma);
-  void pad();  // once, after the last
-  std::size_t count() const { return count_; }
-  std::size_t padded() const { return x.size(); }
+struct Blocks {
+  explicit Blocks(std::size_t n = 0);
+  void set(std::size_t i, double x_, double y_, double u_, double v_, double sigma_) {
+    x[i] = x_;
+    y[i] = y_;
+    u[i] = u_;
+    v[i] = v_;
+    sigma[i] = sigma_;
+  }
 
+  std::size_t count;
   std::vector<double> x, y, u, v, sigma, counts;
-
- private:
-  std::size_t count_ = 0;
 };
 
 // Normal equations A d = b with their cost: sums over the lower triangle, mirrored in the end.
@@ -57,7 +57,7 @@ struct Joint {
 // likelihood, at most width^2 for each correspondence.
 Equations<6> epipolar_terms(const Blocks& blocks, const TwoView& view, double width);
 
-// Signed distances [sigma] of x_prev from the epipolar lines, of `count()` blocks and the padding.
+// Signed distances [sigma] of x_prev from the epipolar lines, of `count` blocks and the padding.
 std::vector<double> epipolar_errors(const Blocks& blocks, const TwoView& view);
 
 // That cost alone.

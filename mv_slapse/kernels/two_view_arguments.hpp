@@ -30,30 +30,34 @@ struct PairArrays {
       : rays_cur(kernel, "rays_cur", cur, {ANY, 3}, Check::finite),
         rays_prev(kernel, "rays_prev", prev, {rays_cur.size(), 3}, Check::finite),
         sigma(kernel, "sigma", noise, {rays_cur.size()}, Check::finite) {
+    bool good = true;
     for (py::ssize_t i = 0; i < rays_cur.size(); ++i)
-      require(rays_cur(i, 2) == 1 && rays_prev(i, 2) == 1, kernel, "rays must end with 1");
+      good &= rays_cur(i, 2) == 1 && rays_prev(i, 2) == 1;
+    require(good, kernel, "rays must end with 1");
   }
 
   Blocks blocks() const {
-    Blocks out;
-    out.reserve(size());
-    for (std::size_t i = 0; i < size(); ++i) add(i, out);
-    out.pad();
+    Blocks out(size());
+    for (std::size_t i = 0; i < size(); ++i) set(out, i, i);
     return out;
   }
   // By the plane that each lies on, of `n_planes`; those on none (-1) first. -2 is left out.
   std::vector<Blocks> groups(const char* kernel, const py::object& index, int n_planes) const {
     const In<std::int64_t> plane(kernel, "index", index, {rays_cur.size()});
-    std::vector<Blocks> out(n_planes + 1);
+    std::vector<std::size_t> count(n_planes + 1);
     for (std::size_t i = 0; i < size(); ++i) {
       require(plane[i] < n_planes, kernel, "index names a plane that is not given");
-      if (plane[i] >= -1) add(i, out[plane[i] + 1]);
+      if (plane[i] >= -1) ++count[plane[i] + 1];
     }
-    for (auto& group : out) group.pad();
+    std::vector<Blocks> out;
+    for (const auto n : count) out.emplace_back(n);
+    std::fill(count.begin(), count.end(), 0);
+    for (std::size_t i = 0; i < size(); ++i)
+      if (plane[i] >= -1) set(out[plane[i] + 1], count[plane[i] + 1]++, i);
     return out;
   }
-  void add(std::size_t i, Blocks& to) const {
-    to.add(rays_cur(i, 0), rays_cur(i, 1), rays_prev(i, 0), rays_prev(i, 1), sigma[i]);
+  void set(Blocks& to, std::size_t at, std::size_t i) const {
+    to.set(at, rays_cur(i, 0), rays_cur(i, 1), rays_prev(i, 0), rays_prev(i, 1), sigma[i]);
   }
   std::size_t size() const { return static_cast<std::size_t>(rays_cur.size()); }
 

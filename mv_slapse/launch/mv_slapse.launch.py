@@ -27,7 +27,7 @@ ARGUMENTS = (
     ('use_sim_time', '', 'take the time from /clock; empty: only when a bag is played'),
     ('all_in_one', 'false', 'one process instead of four'),
     ('rviz', 'false', 'show the results'),
-    ('respawn', 'false', 'start a node again when it ends'),
+    ('respawn', 'true', 'start a node again when it ends'),
 )
 NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker')
 WITH_CAMERA = ('decoder', 'plane_extraction', 'all_in_one')

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from mv_slapse.geometry.blocks import grid_shape
 from mv_slapse.kernels.binding import compiled
+from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.motion.observations import BlockObservations
 import numpy as np
 
@@ -16,10 +17,9 @@ SAME_SURFACE = 0.25  # share of inverse depth by which blocks of one surface dif
 MIN_NEIGHBOURS = 5  # of nine: three are needed for a plane
 MAX_SPREAD = 0.2  # a depth's error by which two pairs may differ, as a share of it: with more, the
 # least parallax of a depth would cut off the low ones only
-RELIEF = 0.03  # depth of a surface about its plane, as a share of depth
 CHANGE = 0.3  # common change of log(speed) from pair to pair; a start from rest has more
 MIN_BLOCKS = 20  # fewer cannot tell the mode of the ratios from its outliers
-POLICY = np.array([SAME_SURFACE, RELIEF, MAX_SPREAD, CHANGE, MIN_NEIGHBOURS, MIN_BLOCKS])
+POLICY = np.array([SAME_SURFACE, MAX_SPREAD, CHANGE, MIN_NEIGHBOURS, MIN_BLOCKS])
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,8 @@ class DepthMap:
         Standard deviation that a point at infinity would have there [1/baseline].
     approach : float
         t_z of the pair [baseline]: it makes rho's standard deviation noise (1 - rho t_z)^2.
+    relief : float
+        Depth of a surface about its plane, as a share of depth.
     """
 
     grid: np.ndarray
@@ -45,6 +47,7 @@ class DepthMap:
     rho: np.ndarray
     noise: np.ndarray
     approach: float
+    relief: float
 
     def at(self, x: np.ndarray):
         """Interpolate at pixels (N, 2): rho (N,), sigma (N,), NaN where it cannot be told.
@@ -58,7 +61,7 @@ class DepthMap:
     @property
     def columns(self) -> tuple:
         """Return it as the kernels take it."""
-        return self.grid, self.x, self.rho, self.noise, self.approach
+        return self.grid, self.x, self.rho, self.noise, self.approach, self.relief
 
 
 @dataclass(frozen=True)
@@ -69,11 +72,15 @@ class BaselineRatio:
     sigma: float = float('inf')
 
 
-def depth_map(width, height, x, rho, noise, approach, usable) -> DepthMap:
-    """Note the inverse depths of the usable blocks (N,) where another pair will look for them."""
-    columns, rows = grid_shape(width, height)
-    x = np.ascontiguousarray(x, float)
-    return DepthMap(compiled.depth_grid(x, usable, rows, columns), x, rho, noise, float(approach))
+def depth_map(size, depths, approach: float, relief: float, usable) -> DepthMap:
+    """Note depths (x, rho, noise), as in DepthMap, where another pair will look for them.
+
+    Of a picture of ``size`` (width, height) [px], and of the usable blocks (N,) bool.
+    """
+    columns, rows = grid_shape(*size)
+    x, rho, noise = (np.ascontiguousarray(column, float) for column in depths)
+    return DepthMap(compiled.depth_grid(x, usable, rows, columns), x, rho, noise, float(approach),
+                    relief)
 
 
 def baseline_ratio(before: DepthMap, now: DepthMap, expected: float = 0.0) -> BaselineRatio:
@@ -101,7 +108,7 @@ def baseline_ratio(before: DepthMap, now: DepthMap, expected: float = 0.0) -> Ba
     return BaselineRatio(0.5 * (ahead.log - back.log), float(error))
 
 
-def from_previous(size, seen: BlockObservations, usable, R, t) -> DepthMap:
+def from_previous(size, seen: BlockObservations, usable, fit: MotionFit, relief) -> DepthMap:
     """Return the depths of a pair (k-1, k) as its camera k-1 sees them.
 
     Parameters
@@ -113,12 +120,14 @@ def from_previous(size, seen: BlockObservations, usable, R, t) -> DepthMap:
         which makes ``far_sigma`` the error at every depth.
     usable : (N,) bool array, or True
         Which of those with a depth.
-    R, t : (3, 3), (3,) arrays
-        X_cur = R X_prev + t, |t| = 1.
+    fit : MotionFit
+        Of which these are.
+    relief : float
+        As in DepthMap.
     """
     rho, before = compiled.previous_depths(seen.pair.rays_cur, seen.rho, seen.has_depth & usable,
-                                           np.ascontiguousarray(R), t)
-    return depth_map(*size, seen.pair.x_prev, rho, seen.far_sigma, 0.0, before)
+                                           fit.R_cur_from_prev, fit.t_cur_from_prev)
+    return depth_map(size, (seen.pair.x_prev, rho, seen.far_sigma), 0.0, relief, before)
 
 
 def _excess(single: DepthMap, smooth: DepthMap, expected: float) -> BaselineRatio:

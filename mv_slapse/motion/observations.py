@@ -59,22 +59,11 @@ class BlockObservations:
         return BlockObservations(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
-def orient(pair: two_view.Pair, R, t) -> tuple[np.ndarray, bool]:
-    """Return the translation with the sign that puts most points before the camera.
-
-    The majority vote of [MVO] 4.2, each block counting by its parallax in standard deviations:
-    a far block's direction is noise. Also returns whether the camera moves forward.
-    """
-    if behind(pair, R, t) > 0.5:
-        t = -t
-    return t, bool(t[2] < 0)
-
-
 def behind(pair: two_view.Pair, R, t) -> float:
-    """Return the share of the votes of `orient` that put a block behind the camera.
+    """Return the share of the blocks, weighed by their parallax, that are behind the camera.
 
-    A vote of [MVO] 4.2 (alpha < 90 degrees for a camera that moves forward, >= 90 for one that
-    moves backward) is the sign of (t_xy - x'_prev t_z) . (x_cur - x'_prev): the epipole
+    A block's vote of [MVO] 4.2 (alpha < 90 degrees for a camera that moves forward, >= 90 for one
+    that moves backward) is the sign of (t_xy - x'_prev t_z) . (x_cur - x'_prev): the epipole
     e = t_xy / t_z is kept homogeneous, so that a camera moving sideways has a vote too.
     """
     return compiled.behind(*two_view.columns(pair, R, t))

@@ -4,11 +4,8 @@ Where a plane fills the picture, as under a camera that looks down on a floor, t
 is that of either motion. The wrong one puts a part of the plane behind the camera.
 """
 
-from dataclasses import replace
-
 import cv2
 from mv_slapse.geometry import two_view
-from mv_slapse.motion import observations as block_observations
 from mv_slapse.motion.estimate import MotionFit, refined_from
 import numpy as np
 
@@ -24,34 +21,28 @@ MANY_BEHIND = 0.2
 ALIKE = 0.1
 
 
-def oriented(pair: two_view.Pair, fit: MotionFit) -> MotionFit:
-    """Return the motion with the sign that puts most blocks before the camera."""
-    t, _ = block_observations.orient(pair, fit.R_cur_from_prev, fit.t_cur_from_prev)
-    return replace(fit, t_cur_from_prev=t)
-
-
 def likeliest(pair: two_view.Pair, predicted: MotionFit | None,
               others: list[MotionFit]) -> MotionFit:
-    """Return the motion that explains a pair best, oriented; the predicted one when in doubt.
+    """Return the motion that explains a pair best; the predicted one when in doubt.
 
     A block behind the camera is one that the motion does not explain.
     """
-    fits = [oriented(pair, fit) for fit in (predicted, *others) if fit is not None]
+    fits = [fit for fit in (predicted, *others) if fit is not None]
     if len(fits) == 1:
         return fits[0]
-    costs = [_cost(pair, fit) for fit in fits]
+    costs = [_cost(fit) for fit in fits]
     if predicted is not None and (costs[0] - min(costs)) * len(pair) < AMBIGUITY:
         return fits[0]
     return fits[int(np.argmin(costs))]
 
 
 def unfolded(pair: two_view.Pair, fit: MotionFit) -> MotionFit:
-    """Return an oriented motion, or its twin if that has more of the blocks in front."""
-    if _behind(pair, fit) < MANY_BEHIND:
+    """Return a motion, or its twin if that has more of the blocks in front."""
+    if fit.behind < MANY_BEHIND:
         return fit
-    others = [oriented(pair, refined_from(pair, R, t)) for R, t in from_homography(pair)]
+    others = [refined_from(pair, R, t) for R, t in from_homography(pair)]
     twins = [other for other in others if other.cost - fit.cost < ALIKE]
-    return min([fit, *twins], key=lambda motion: _cost(pair, motion))
+    return min([fit, *twins], key=_cost)
 
 
 def from_homography(pair: two_view.Pair) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -69,9 +60,5 @@ def from_homography(pair: two_view.Pair) -> list[tuple[np.ndarray, np.ndarray]]:
             if np.linalg.norm(t) > 1e-6]
 
 
-def _cost(pair: two_view.Pair, fit: MotionFit) -> float:
-    return fit.cost + _behind(pair, fit)
-
-
-def _behind(pair: two_view.Pair, fit: MotionFit) -> float:
-    return block_observations.behind(pair, fit.R_cur_from_prev, fit.t_cur_from_prev)
+def _cost(fit: MotionFit) -> float:
+    return fit.cost + fit.behind

@@ -23,7 +23,9 @@ def pair(blank: Extraction) -> two_view.Pair:
 
 
 def only(whole: Extraction, rows: np.ndarray) -> Extraction:
-    """Return an extraction of some rows."""
+    """Return an extraction of some rows, which grow."""
+    if len(rows) == len(whole.x_cur):
+        return whole
     return replace(whole, **{name: getattr(whole, name)[rows] for name in COLUMNS})
 
 
@@ -32,6 +34,8 @@ def scene(whole: Extraction, x: np.ndarray, settings: ExtractionSettings) -> np.
 
     The middle of a macroblock that the edge cuts may lie beyond it.
     """
+    if not any((settings.own_left, settings.own_right, settings.own_top, settings.own_bottom)):
+        return np.arange(len(x))
     share = ((x + 0.5) / (whole.width, whole.height)).clip(0, 1)
     return np.flatnonzero(
         (share[:, 0] >= settings.own_left) & (share[:, 0] <= 1 - settings.own_right)
@@ -39,10 +43,11 @@ def scene(whole: Extraction, x: np.ndarray, settings: ExtractionSettings) -> np.
 
 
 def scattered(whole: Extraction, shown: Extraction, rows: np.ndarray) -> Extraction:
-    """Return what some rows show as part of the whole."""
-    columns = {name: getattr(whole, name).copy() for name in COLUMNS}
-    for name, values in columns.items():
-        values[rows] = getattr(shown, name)
+    """Return what some rows show as part of the whole, whose places and sizes stay."""
+    columns = {name: getattr(whole, name) for name in COLUMNS}
+    for name in ('sigma', 'label', 'plane_id'):
+        columns[name] = columns[name].copy()
+        columns[name][rows] = getattr(shown, name)
     return replace(shown, **columns)
 
 

@@ -9,6 +9,7 @@ from mv_slapse.config import (
     Settings,
 )
 from mv_slapse.geometry.camera import Camera
+from mv_slapse.nodes import overload
 from mv_slapse.nodes.archive import Archive
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.decoding import Decoding
@@ -17,8 +18,10 @@ from mv_slapse.nodes.gate import Gate
 from mv_slapse.nodes.handovers import Handovers
 from mv_slapse.nodes.health import every
 from mv_slapse.nodes.obstacle_output import ObstacleOutput
+from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.qos import RELIABLE
 from mv_slapse.nodes.scene_output import SceneOutput
+from mv_slapse.nodes.settings import CORE
 from mv_slapse.nodes.shell import run, Shell
 from mv_slapse.nodes.speeds import Speeds
 from mv_slapse.pipeline import Slapse, Step
@@ -44,16 +47,34 @@ class AllInOneNode(Shell):
                                                    RELIABLE)
         self._scene, self._obstacles = SceneOutput(self), ObstacleOutput(self)
         self._handovers, self._speeds = Handovers(self, None), Speeds(self)
+        self._placement = Placement(self)
         self._gate = Gate(self._is_ready, self._step, HELD)
         every(self, 0.1, lambda: self.attempt('video', self._gate.drain))
-        self._decoding = Decoding(self, self._gate, self._on_camera)
+        self._decoding = Decoding(self, self._take, self._on_camera)
 
     def restart(self):
         """Begin a new trajectory and a new map."""
+        for part in (self._placement, self._scene, self._archive):
+            part.restart()
+        self._renew()
+
+    def go_on(self):
+        """Begin a new map where the last pose was."""
+        self._placement.go_on()
+        self.resets += 1
+        self.health.value('resets', self.resets)
+        self.health.restarted()
+        self._renew()
+
+    def on_settings(self, changed: set[type]):
+        """Go on with new settings of the core."""
+        if changed & set(CORE):
+            self.go_on()
+
+    def _renew(self):
         self._decoding.restart()
         self._gate.clear()
-        for part in (self._scene, self._archive, self._speeds):
-            part.restart()
+        self._speeds.restart()
         if self._camera is not None:
             self._on_camera(self._camera)
 
@@ -72,22 +93,32 @@ class AllInOneNode(Shell):
         self._camera = camera
         self._slapse = Slapse(camera, self._core_settings())
 
-    def _is_ready(self, _record: Correspondences, frame: str) -> bool:
+    def _is_ready(self, _record: Correspondences, frame: str, _came: float) -> bool:
         return self._extrinsics.frames(frame) is not None
 
-    def _step(self, record: Correspondences, frame: str):
+    def _take(self, record: Correspondences, frame: str):
+        self._gate(record, frame, self.latency.came)
+
+    def _step(self, record: Correspondences, frame: str, came: float):
+        if self.latency.is_behind(came):
+            record = overload.dropped(record)
         step = self._slapse.step(record, self._speeds.told(record.stamp))
-        frames = self._extrinsics.frames(frame)
-        self._archive.add(step.scene, record.previous_stamp)
+        frames = self._placement.place(self._extrinsics.frames(frame))
+        self._archive.add(step.scene, record.previous_stamp, frames)
         self._publish(step, frames)
+        reason = step.extraction.reason
+        self.health.set('no_motion', bool(reason), f'the camera\'s motion is not known: {reason}')
 
     def _publish(self, step: Step, frames):
-        self._correspondences.publish(to_message(
-            CorrespondencesMsg, fields.correspondences_to_fields(step.correspondences, frames)))
-        self._observations.publish(to_message(
-            PlaneObservations, fields.extraction_to_fields(step.extraction, frames)))
+        # what stays inside this process is made a message only for who listens
+        if self._correspondences.get_subscription_count():
+            self._correspondences.publish(to_message(CorrespondencesMsg, (
+                fields.correspondences_to_fields(step.correspondences, frames))))
+        if self._observations.get_subscription_count():
+            self._observations.publish(to_message(
+                PlaneObservations, fields.extraction_to_fields(step.extraction, frames)))
         self._handovers.publish(step.handovers, frames)
-        self._scene.publish(step.scene, frames)
+        self._scene.publish(step.scene, frames, self._placement)
         self._obstacles.publish(step.scene.stamp, list(step.obstacles), step.scene.scale_status,
                                 frames)
 

@@ -1,14 +1,16 @@
 """~/save_map and ~/save_trajectory: what slam knows, as the files of the command line."""
 
 from array import array
+from dataclasses import replace
 import os
 from pathlib import Path
 
+from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.nodes.frame_change import in_frames
 from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.nodes.settings import SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import MapPlane, SceneEstimate
-from mv_slapse.storage import tum
 import numpy as np
 from std_srvs.srv import Trigger
 
@@ -29,8 +31,13 @@ class Archive:
         self._planes: dict[int, MapPlane] = {}
         self._stamps, self._poses = array('q'), array('d')
 
-    def add(self, scene: SceneEstimate, previous_stamp: int):
-        """Take the estimate of a key frame; the first pair also gives the first key frame."""
+    def add(self, scene: SceneEstimate, previous_stamp: int, frames: RosFrames):
+        """Take the estimate of a key frame; the first pair also gives the first key frame.
+
+        All is kept in the {W} that belongs to odom's origin, wherever the filter has begun.
+        """
+        scene = in_frames(scene, frames, replace(
+            frames, R_odom_from_start=np.eye(3), t_odom_from_start=np.zeros(3)))
         self._scene = scene
         self._planes.update((plane.id, plane) for plane in scene.planes)
         if scene.status not in WITH_POSE:
@@ -44,9 +51,13 @@ class Archive:
         self._poses.extend([*R.ravel(), *t])
 
     def _on_save_map(self, _request, response):
+        if not self._planes:
+            return _nothing(response, 'there is no plane in the map yet')
         return self._save(response, 'map.json', self._write_map)
 
     def _on_save_trajectory(self, _request, response):
+        if not self._stamps:
+            return _nothing(response, 'there is no pose yet')
         return self._save(response, 'trajectory.tum', self._write_trajectory)
 
     def _write_map(self, path: Path):
@@ -55,6 +66,7 @@ class Archive:
         write_json(path, map_content(self._scene, self._planes.values()))
 
     def _write_trajectory(self, path: Path):
+        from mv_slapse.storage import tum
         poses = np.reshape(self._poses, (-1, 12))
         tum.write_poses(path, ((stamp, pose[:9].reshape(3, 3), pose[9:])
                                for stamp, pose in zip(self._stamps, poses, strict=True)))
@@ -70,6 +82,13 @@ class Archive:
             response.message = (f'{path} cannot be written: {error}; start the node with '
                                 'another output_directory')
         return response
+
+
+def _nothing(response, why: str):
+    """Refuse to write a file without content."""
+    response.success = False
+    response.message = f'nothing to save: {why}; see /diagnostics for what is missing'
+    return response
 
 
 def _folder(parameter: str) -> Path:

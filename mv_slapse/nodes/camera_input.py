@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory, PackageNotFoundError
-from mv_slapse.errors import UsageError
+from mv_slapse.errors import MvSlapseError, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.nodes.conversions import camera_from_msg
 from mv_slapse.nodes.qos import LATCHED
@@ -36,26 +36,33 @@ class CameraInput:
     def _subscribe(self):
         """Subscribe twice: only so both a volatile and an already sent latched one arrive."""
         self._node.health.watch(TOPIC, HINT)
-        self._node.health.problem(TOPIC, 'no camera_info yet: ' + HINT)
+        self._node.health.enter('no_camera', 'no camera_info yet: ' + HINT)
         silent = SubscriptionEventCallbacks(incompatible_qos=lambda _: None)
-        callback = self._node.guarded(TOPIC, self._on_message)
+        callback = self._node.guarded(TOPIC, CameraInfo, self._on_message)
         for profile in (qos_profile_sensor_data, LATCHED):
             self._node.create_subscription(CameraInfo, TOPIC, callback, profile,
-                                           event_callbacks=silent)
+                                           event_callbacks=silent, raw=True)
 
     def _on_message(self, msg: CameraInfo):
-        if self.camera is not None and _same(self.camera, msg):
+        try:
+            camera = camera_from_msg(msg, self._node.resolve_topic_name(TOPIC))
+        except MvSlapseError as error:
+            self._node.get_logger().error(str(error), throttle_duration_sec=5.0)
+            self._node.health.leave('no_camera')
+            self._node.health.enter('bad_camera', str(error))
             return
-        camera = camera_from_msg(msg, self._node.resolve_topic_name(TOPIC))
-        if self.camera is not None:
-            self._node.get_logger().warning('camera_info changed: starting anew')
-        self._take(camera)
+        self._node.health.leave('bad_camera')
+        if self.camera is None or not _same(self.camera, camera):
+            self._take(camera)
 
     def _take(self, camera: Camera):
-        self.camera = camera
-        self._node.health.solved(TOPIC)
+        before, self.camera = self.camera, camera
+        self._node.health.leave('no_camera')
         self._node.health.unwatch(TOPIC)
+        self._node.latency.opened()
         self._on_camera(camera)
+        if before is not None:
+            self._node.begin_anew('camera_info changed')
 
 
 def path_of_url(url: str) -> Path:
@@ -73,8 +80,7 @@ def path_of_url(url: str) -> Path:
                          'its workspace or give a path') from None
 
 
-def _same(camera: Camera, msg: CameraInfo) -> bool:
-    other = camera_from_msg(msg)
+def _same(camera: Camera, other: Camera) -> bool:
     return (camera.lens == other.lens and (camera.width, camera.height) == (
         other.width, other.height) and np.array_equal(camera.K, other.K)
         and np.array_equal(camera.distortion, other.distortion))

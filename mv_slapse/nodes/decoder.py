@@ -1,12 +1,13 @@
 """Encoded or raw video in, merged motion vectors out."""
 
 from mv_slapse import fields
+from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.decoding import Decoding
 from mv_slapse.nodes.qos import RELIABLE
 from mv_slapse.nodes.shell import run, Shell
-from mv_slapse.records import Correspondences
+from mv_slapse.records import Correspondences, SegmentKind
 from mv_slapse_msgs.msg import Correspondences as CorrespondencesMsg
 
 
@@ -23,6 +24,11 @@ class DecoderNode(Shell):
         """Forget the stream."""
         self._decoding.restart()
 
+    def on_settings(self, changed: set[type]):
+        """Decode with new settings from the next key picture on."""
+        if DecoderSettings in changed:
+            self.begin_anew('decoder settings changed')
+
     def destroy_node(self):
         """Stop the reader of a source first."""
         self._decoding.close()
@@ -31,6 +37,8 @@ class DecoderNode(Shell):
     def _publish(self, record: Correspondences, frame: str):
         self._publisher.publish(to_message(CorrespondencesMsg, fields.correspondences_to_fields(
             record, RosFrames(camera=frame))))
+        if record.kind != SegmentKind.BROKEN:
+            self.health.worked()
 
 
 def main(args: list[str] | None = None) -> int:

@@ -3,13 +3,18 @@
 from importlib import import_module
 import time
 
+from mv_slapse.field_values import read_xyz
+from mv_slapse.geometry.quaternion import to_matrix
 from mv_slapse.geometry.ros_frames import R_BODY_FROM_OPTICAL, RosFrames
+from mv_slapse.message_checks import quaternion
+from mv_slapse.nodes.qos import subscribe
 from mv_slapse.nodes.settings import FrameSettings
 from mv_slapse.nodes.shell import Shell
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from scipy.spatial.transform import Rotation
 
+TOPIC = '/tf_static'
+FRAMES = 10_000  # kept at most
 STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -34,14 +39,20 @@ class Extrinsics:
         message_type = tf_message_type()
         if message_type is not None and not self._from_parameter:
             self._deadline += self._settings.tf_wait
-            node.create_subscription(message_type, '/tf_static', self._on_static, STATIC)
+            subscribe(node, message_type, TOPIC, node.guarded(
+                TOPIC, message_type, self._on_static, proves=True), STATIC)
 
     def frames(self, camera: str) -> RosFrames | None:
         """Return the frames for pictures in the frame ``camera``; None: ask again later."""
         if self._decided is None:
             pose = self._known(camera)
             if pose is None and time.monotonic() < self._deadline:
+                base = self._settings.base_frame
+                self._node.health.enter('no_extrinsics', f'no transform {base} -> {camera} on '
+                                        '/tf_static yet; publish it, or set base_from_camera')
                 return None
+            self._node.health.leave('no_extrinsics')
+            self._node.latency.opened()
             self._decided = self._decide(camera, pose)
         return self._decided
 
@@ -64,9 +75,11 @@ class Extrinsics:
 
     def _on_static(self, msg):
         for transform in msg.transforms:
-            t, q = transform.transform.translation, transform.transform.rotation
-            self._parents[transform.child_frame_id] = (
-                transform.header.frame_id, _matrix((t.x, t.y, t.z, q.x, q.y, q.z, q.w)))
+            if len(self._parents) < FRAMES or transform.child_frame_id in self._parents:
+                pose = (*read_xyz(transform.transform.translation, 'translation'),
+                        *quaternion(transform.transform.rotation, 'rotation'))
+                self._parents[transform.child_frame_id] = (
+                    transform.header.frame_id, _matrix(pose))
 
 
 def chain(parents: dict[str, tuple[str, np.ndarray]], child: str, root: str) -> np.ndarray | None:
@@ -87,6 +100,6 @@ def chain(parents: dict[str, tuple[str, np.ndarray]], child: str, root: str) -> 
 
 def _matrix(pose: tuple[float, ...]) -> np.ndarray:
     matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat(pose[3:]).as_matrix()
+    matrix[:3, :3] = to_matrix(pose[3:])
     matrix[:3, 3] = pose[:3]
     return matrix

@@ -1,6 +1,8 @@
 """Planes that change their label, on ``planes/handover`` between slam and obstacle_tracker."""
 
+from collections import deque
 from collections.abc import Iterable
+from itertools import compress
 
 from mv_slapse import fields
 from mv_slapse.geometry.ros_frames import RosFrames
@@ -11,6 +13,7 @@ from mv_slapse.records import Label, PlaneHandover
 from mv_slapse_msgs.msg import PlaneHandover as PlaneHandoverMsg
 
 TOPIC = 'planes/handover'
+HELD = 1000  # hand-overs that wait for their key frame
 
 
 class Handovers:
@@ -18,15 +21,16 @@ class Handovers:
 
     def __init__(self, node: Shell, to_label: Label | None):
         """Take hand-overs to ``to_label``; None: send only."""
-        self._pending: list[PlaneHandoverMsg] = []
+        self.restart()
         self._to_label = to_label
         self._publisher = node.create_publisher(PlaneHandoverMsg, TOPIC, RELIABLE)
         if to_label is not None:
-            subscribe(node, PlaneHandoverMsg, TOPIC, self._on_message)
+            subscribe(node, PlaneHandoverMsg, TOPIC,
+                      node.guarded(TOPIC, PlaneHandoverMsg, self._on_message, proves=True))
 
     def restart(self):
         """Forget what is pending."""
-        self._pending = []
+        self._pending: deque[PlaneHandoverMsg] = deque(maxlen=HELD)
 
     def publish(self, handovers: Iterable[PlaneHandover], frames: RosFrames):
         """Send hand-overs to the other filter."""
@@ -42,10 +46,11 @@ class Handovers:
         """
         records = [fields.handover_from_message(msg, frames) for msg in self._pending]
         pending = [r.stamp > stamp for r in records]
-        self._pending = [m for m, wait in zip(self._pending, pending, strict=True) if wait]
+        self._pending = deque(compress(self._pending, pending), maxlen=HELD)
         due = [r for r, wait in zip(records, pending, strict=True) if not wait]
         return sorted(due, key=lambda record: (record.stamp, record.id))
 
     def _on_message(self, msg: PlaneHandoverMsg):
-        if msg.to_label == self._to_label:
+        # once, so that what waits can be used later
+        if fields.handover_from_message(msg, RosFrames()).to_label == self._to_label:
             self._pending.append(msg)

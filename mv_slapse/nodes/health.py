@@ -5,13 +5,18 @@ from dataclasses import dataclass
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from mv_slapse.nodes.states import CONDITIONS, Kind
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.timer import Timer
 
-SILENCE = 3.0  # [s] without input before it is reported
-LATE = 1.0  # [s] that input waits before it is reported
+SILENCE = 3.0  # [s] without input or output before it is reported
+LEVELS = {Kind.FAILED: DiagnosticStatus.ERROR, Kind.WAITING: DiagnosticStatus.WARN,
+          Kind.DEGRADED: DiagnosticStatus.WARN, Kind.WORKING: DiagnosticStatus.OK}
+ORDER = {key: place for place, key in enumerate(CONDITIONS)}
+#: what is said as long as nothing has come out, and taken back by the first output
+HINDERS = ('fault', 'unusable', 'undecodable', 'no_key_frame', 'rejected')
 
 
 def every(node: Node, period: float, callback: Callable[[], None]) -> Timer:
@@ -26,30 +31,62 @@ class _Watch:
     last: float
 
 
+@dataclass(frozen=True)
+class _Entered:
+    key: str
+    message: str
+    until: float
+
+
 class Health:
-    """Problems, inputs and counters of a node; the worst problem is what it reports."""
+    """Conditions, inputs and counters of a node; the worst condition is what it reports."""
 
     def __init__(self, node: Node):
         """Publish every second of real time, whatever /clock does."""
         self._node = node
-        self._problems: dict[str, tuple[bytes, str]] = {}
+        self._entered: dict[tuple[str, str], _Entered] = {}
         self._counts: dict[str, int] = {}
         self._values: dict[str, str] = {}
+        self._fresh: dict[str, tuple[str, float]] = {}
         self._watches: dict[str, _Watch] = {}
+        self._worked = -float('inf')
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         every(node, 1.0, self.publish)
 
-    def problem(self, key: str, message: str, level: bytes = DiagnosticStatus.ERROR):
-        """Report a problem, with what to do about it, until it is solved."""
-        self._problems[key] = (level, message)
+    def enter(self, key: str, said: str = '', part: str = '', lasts: float = float('inf')):
+        """Enter a condition of CONDITIONS, until it is left or for ``lasts`` seconds.
 
-    def warning(self, key: str, message: str):
-        """Report something that works, but not as well as it could."""
-        self.problem(key, message, DiagnosticStatus.WARN)
+        ``said`` takes the place of its meaning and next step; ``part`` is the topic or the like
+        to which it belongs, so that several can be in it.
+        """
+        condition = CONDITIONS[key]
+        message = said or f'{condition.meaning}; {condition.next_step}'
+        self._entered[key, part] = _Entered(key, message, time.monotonic() + lasts)
 
-    def solved(self, key: str):
-        """Take a problem back."""
-        self._problems.pop(key, None)
+    def leave(self, *keys: str, part: str | None = None):
+        """Leave conditions, of one part or of all."""
+        for key, of in list(self._entered):
+            if key in keys and part in (None, of):
+                del self._entered[key, of]
+
+    def set(self, key: str, holds: bool, said: str = ''):
+        """Enter or leave a condition."""
+        if holds:
+            self.enter(key, said)
+        else:
+            self.leave(key)
+
+    def worked(self):
+        """Note that something usable has come out: what hindered it before does so no more."""
+        self._worked = time.monotonic()
+        self.leave(*HINDERS)
+
+    def restarted(self):
+        """Forget what was known of the input so far."""
+        self._worked = -float('inf')
+        self._fresh.clear()
+        self.leave('lost', 'initialising', 'broken', 'no_motion', 'predicted', 'overload', 'clock',
+                   'no_pose', 'no_scale', *HINDERS)
 
     def count(self, name: str, n: int = 1):
         """Add to a counter."""
@@ -59,6 +96,10 @@ class Health:
         """Set a value shown beside the counters."""
         self._values[name] = str(value)
 
+    def fresh(self, name: str, value: object):
+        """Set a value that is true only as long as it is renewed."""
+        self._fresh[name] = str(value), time.monotonic()
+
     def watch(self, topic: str, hint: str):
         """Report when nothing arrives on a topic; ``hint`` says where it should come from."""
         self._watches[topic] = _Watch(self._node.resolve_topic_name(topic), hint, 0.0)
@@ -67,27 +108,26 @@ class Health:
         """Say nothing more when a topic is silent: what it had to say is known."""
         self._watches.pop(topic, None)
 
-    def arrived(self, topic: str, waited: float):
-        """Note that something arrived on a topic and waited [s] before it was read."""
+    def arrived(self, topic: str):
+        """Note that something arrived on a topic."""
         if topic in self._watches:
             self._watches[topic].last = time.monotonic()
         self.count(f'messages on {topic}')
-        if waited > LATE:
-            self.warning(f'late {topic}', f'{waited:.1f} s behind on {topic}: this machine is '
-                         'too slow for the stream; lower its rate or size, or free the CPU')
-        else:
-            self.solved(f'late {topic}')
 
     def status(self) -> DiagnosticStatus:
         """Return the state now."""
-        problems = {**self._silences(), **self._problems}
-        level = max((level for level, _ in problems.values()), default=DiagnosticStatus.OK)
-        worst = [message for at, message in problems.values() if at == level]
-        others = {key: message for key, (at, message) in problems.items() if at != level}
-        values = {**self._values, **{k: str(v) for k, v in self._counts.items()}, **others}
+        found = sorted(self._conditions(), key=lambda entry: ORDER[entry.key])
+        kind = min((self._kind(entry.key) for entry in found), default=Kind.WORKING)
+        worst = [entry for entry in found if self._kind(entry.key) == kind]
+        if [entry.key for entry in worst] == ['no_output']:
+            worst = found  # what does not work well may be why
+        others = {entry.key: entry.message for entry in found if entry not in worst}
+        values = {'state': kind.name.lower(), 'condition': worst[0].key if worst else 'working',
+                  **self._values, **self._fresh_values(),
+                  **{k: str(v) for k, v in self._counts.items()}, **others}
         return DiagnosticStatus(
-            level=level, name=self._node.get_fully_qualified_name().lstrip('/'),
-            hardware_id='mv_slapse', message='; '.join(worst) or 'ok',
+            level=LEVELS[kind], name=self._node.get_fully_qualified_name().lstrip('/'),
+            hardware_id='mv_slapse', message=_text(kind, worst),
             values=[KeyValue(key=key, value=value) for key, value in sorted(values.items())])
 
     def publish(self):
@@ -96,12 +136,47 @@ class Health:
         msg.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(msg)
 
-    def _silences(self) -> dict[str, tuple[bytes, str]]:
-        late = time.monotonic() - SILENCE
-        return {f'input {watch.topic}': (DiagnosticStatus.WARN, self._silence(watch))
-                for watch in self._watches.values() if watch.last < late}
+    def _conditions(self) -> list[_Entered]:
+        """Return what holds now; nothing of it is OK while nothing comes out."""
+        now = time.monotonic()
+        self._entered = {at: entry for at, entry in self._entered.items() if now < entry.until}
+        found = [*self._entered.values(), *self._silences()]
+        kinds = {self._kind(entry.key) for entry in found}
+        if self._is_idle() and not kinds & {Kind.FAILED, Kind.WAITING}:
+            condition = CONDITIONS['no_output']
+            said = f'{condition.meaning} {self._since()}; {condition.next_step}'
+            found.insert(0, _Entered('no_output', said, now))
+        return found
 
-    def _silence(self, watch: _Watch) -> str:
-        n = self._node.count_publishers(watch.topic)
-        said = 'is silent' if n else 'has no publisher'
-        return f'{watch.topic} {said}: {watch.hint}'
+    def _kind(self, key: str) -> Kind:
+        """Return the kind of a condition; where all that comes is rejected it has failed."""
+        return Kind.FAILED if key == 'rejected' and self._is_idle() else CONDITIONS[key].kind
+
+    def _is_idle(self) -> bool:
+        return time.monotonic() - self._worked > SILENCE
+
+    def _since(self) -> str:
+        age = time.monotonic() - self._worked
+        return 'yet' if age == float('inf') else f'for {age:.0f} s'
+
+    def _fresh_values(self) -> dict[str, str]:
+        now = time.monotonic()
+        return {name: value if now - at <= SILENCE else f'unknown ({value} {now - at:.0f} s ago)'
+                for name, (value, at) in self._fresh.items()}
+
+    def _silences(self) -> list[_Entered]:
+        now = time.monotonic()
+        return [self._silence(watch, now) for watch in self._watches.values()
+                if now - watch.last > SILENCE]
+
+    def _silence(self, watch: _Watch, now: float) -> _Entered:
+        silent = self._node.count_publishers(watch.topic) > 0
+        said = 'is silent' if silent else 'has no publisher'
+        return _Entered('silent' if silent else 'no_publisher',
+                        f'{watch.topic} {said}: {watch.hint}', now)
+
+
+def _text(kind: Kind, entries: list[_Entered]) -> str:
+    """Return what is said of the worst conditions."""
+    said = '; '.join(entry.message for entry in entries)
+    return f'{kind.name.lower()}: {said}' if said else 'ok'

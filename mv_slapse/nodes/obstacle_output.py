@@ -28,7 +28,7 @@ class ObstacleOutput:
 
     def __init__(self, node: Shell):
         """Advertise the topics."""
-        self._node, self._settings = node, node.settings[ObstacleOutputSettings]
+        self._node = node
         self._obstacles = node.create_publisher(ObstacleArray, 'obstacles', RELIABLE)
         self._points = node.create_publisher(PointCloud2, 'obstacles/points', RELIABLE)
         self._polygons = node.create_publisher(PolygonInstanceStamped, 'obstacles/polygons',
@@ -36,6 +36,10 @@ class ObstacleOutput:
         self._markers = node.create_publisher(MarkerArray, 'obstacles/markers', RELIABLE)
         self._shown = view_fields.MarkerBoard(
             node.settings[FrameSettings].odom_frame, MARKER_LIFETIME)
+
+    @property
+    def _settings(self) -> ObstacleOutputSettings:
+        return self._node.settings[ObstacleOutputSettings]
 
     def publish(self, stamp: int, obstacles: list[Obstacle], scale: ScaleStatus,
                 frames: RosFrames):
@@ -47,9 +51,10 @@ class ObstacleOutput:
         for obstacle in sure:
             if len(obstacle.outline) > 2:
                 self._polygons.publish(self._polygon(stamp, obstacle, frames))
-        self._markers.publish(to_message(MarkerArray, self._shown.show(
-            stamp, view_fields.obstacle_markers(obstacles, frames))))
-        self._node.health.value('obstacles', len(sure))
+        if self._markers.get_subscription_count():
+            self._markers.publish(to_message(MarkerArray, self._shown.show(
+                stamp, view_fields.obstacle_markers(obstacles, frames))))
+        self._node.health.fresh('obstacles', len(sure))
 
     def _cloud(self, stamp: int, obstacles: list[Obstacle], frames: RosFrames) -> PointCloud2:
         parts = [self._points_of(obstacle, frames) for obstacle in obstacles]

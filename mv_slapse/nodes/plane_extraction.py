@@ -6,11 +6,14 @@ from mv_slapse.extraction.extractor import PlaneExtractor
 from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.nodes import overload
 from mv_slapse.nodes.camera_input import CameraInput
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.gate import Gate
 from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.shell import run, Shell
+from mv_slapse.records import Correspondences as RecordedPair
+from mv_slapse.records import Extraction
 from mv_slapse_msgs.msg import Correspondences, PlaneObservations
 
 TOPIC = 'correspondences'
@@ -29,12 +32,21 @@ class PlaneExtractionNode(Shell):
         self._gate = Gate(lambda *_: self._extractor is not None, self._extract, HELD)
         self._camera = CameraInput(self, self._on_camera)
         self.health.watch(TOPIC, 'start the decoder node in the same namespace')
-        subscribe(self, Correspondences, TOPIC, self.guarded(TOPIC, self._gate))
+        subscribe(self, Correspondences, TOPIC, self.guarded(TOPIC, Correspondences, self._take))
 
     def restart(self):
         """Forget all planes."""
         if self._camera.camera is not None:
             self._start(self._camera.camera)
+
+    def on_settings(self, changed: set[type]):
+        """Extract with new settings."""
+        if changed & {ExtractionSettings, MountSettings}:
+            self.begin_anew('extraction settings changed')
+
+    def _take(self, msg: Correspondences):
+        record = fields.correspondences_from_message(msg)
+        self._gate(record, msg.header.frame_id, self.latency.came)
 
     def _start(self, camera: Camera):
         self._extractor = PlaneExtractor(camera, self.settings[ExtractionSettings],
@@ -44,17 +56,22 @@ class PlaneExtractionNode(Shell):
         self._start(camera)
         self._gate.drain()
 
-    def _extract(self, msg: Correspondences):
-        check_size(self._camera.camera, msg.width, msg.height, TOPIC)
-        extraction = self._extractor.extract(fields.correspondences_from_message(msg))
-        self.health.count('key frame pairs')
-        self.health.value('planes', len(extraction.planes))
-        if extraction.reason:
-            self.health.warning('motion', f'camera motion is not known: {extraction.reason}')
-        else:
-            self.health.solved('motion')
+    def _extract(self, record: RecordedPair, frame: str, came: float):
+        check_size(self._camera.camera, record.width, record.height, TOPIC)
+        if self.latency.is_behind(came):
+            record = overload.dropped(record)
+        extraction = self._extractor.extract(record)
         self._publisher.publish(to_message(PlaneObservations, fields.extraction_to_fields(
-            extraction, RosFrames(camera=msg.header.frame_id))))
+            extraction, RosFrames(camera=frame))))
+        self._report(extraction)
+
+    def _report(self, extraction: Extraction):
+        self.health.count('key frame pairs')
+        self.health.fresh('planes', len(extraction.planes))
+        self.health.set('no_motion', bool(extraction.reason),
+                        f'the camera\'s motion is not known: {extraction.reason}')
+        if not extraction.reason:
+            self.health.worked()
 
 
 def main(args: list[str] | None = None) -> int:

@@ -1,7 +1,6 @@
 """Subscriptions that say what is wrong when a publisher's QoS does not fit."""
 
 from collections.abc import Callable
-from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -14,11 +13,12 @@ LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def subscribe(node: Node, message_type: type, topic: str, callback: Callable[[Any], None],
+def subscribe(node: Node, message_type: type, topic: str, callback: Callable[..., None],
               profile: QoSProfile = RELIABLE) -> Subscription:
-    """Subscribe, and report a publisher with incompatible QoS and messages lost on the way.
+    """Subscribe raw, and report a publisher with incompatible QoS and messages lost on the way.
 
-    The node has a ``health`` (see ``nodes.shell``) that takes the reports.
+    The callback is one that ``Shell.guarded`` makes: it gets bytes and information on them. The
+    node has a ``health`` (see ``nodes.shell``) that takes the reports.
     """
     name = node.resolve_topic_name(topic)
 
@@ -26,15 +26,22 @@ def subscribe(node: Node, message_type: type, topic: str, callback: Callable[[An
         """Say which settings of both sides do not fit."""
         message = mismatch(node, name, profile)
         node.get_logger().error(message)
-        node.health.problem(f'qos {name}', message)
+        node.health.enter('qos', message, name)
 
     def on_lost(event):
         """Count messages that the middleware has lost."""
-        node.health.count(f'lost on {name}', event.total_count_change)
+        lost(node, name, event.total_count_change)
 
     events = SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost)
     return node.create_subscription(message_type, topic, callback, profile,
-                                    event_callbacks=events)
+                                    event_callbacks=events, raw=True)
+
+
+def lost(node: Node, topic: str, n: int):
+    """Count and report messages that the middleware has lost."""
+    node.health.count(f'lost on {topic}', n)
+    node.health.enter('dropped', f'{topic} loses messages: make its publisher reliable, or raise '
+                      'qos_depth where the node has that parameter', topic, lasts=10.0)
 
 
 def mismatch(node: Node, topic: str, asked: QoSProfile) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from mv_slapse.fields import scene_from_messages, stamp_from_message
+from mv_slapse.fields import scene_from_messages, stamp_from_message, tracking_from_message
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.obstacles import units
 from mv_slapse.records import Extraction, SceneEstimate, TrackingStatus
@@ -61,7 +61,7 @@ class SceneJoin:
         if plane_map is None and odometry is not None and self._is_overdue(stamp):
             earlier = [at for at in self._maps if at < stamp]
             plane_map = self._maps[max(earlier)] if earlier else None
-        has_pose = plane_map is not None and plane_map.tracking in WITH_POSE
+        has_pose = plane_map is not None and tracking_from_message(plane_map) in WITH_POSE
         if plane_map is not None and (odometry is not None or not has_pose):
             self._complete(self._observations.pop(stamp), odometry, plane_map)
         elif self._is_overdue(stamp):
@@ -96,7 +96,7 @@ class SceneMemory:
               frames: RosFrames) -> SceneEstimate | None:
         """Return the scene of a key frame; without a pose the last one, None before the first."""
         if odometry is None:
-            status = TrackingStatus(plane_map.tracking)
+            status = tracking_from_message(plane_map)
             return self.last and replace(self.last, stamp=extraction.stamp, status=status,
                                           reason=plane_map.reason, baseline=0.0)
         scene = scene_from_messages(odometry, plane_map, frames)

@@ -2,21 +2,25 @@
 
 from collections import deque
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistWithCovarianceStamped
 from mv_slapse import fields, view_fields
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import bounded_covariance, stamp_to_msg, to_message
 from mv_slapse.nodes.extrinsics import tf_message_type
+from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.qos import LATCHED, RELIABLE
 from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.nodes.settings import FrameSettings, SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
+from mv_slapse.nodes.states import CONDITIONS
 from mv_slapse.records import ScaleStatus, SceneEstimate, TrackingStatus
 from mv_slapse_msgs.msg import PlaneMap
 from nav_msgs.msg import Odometry, Path
+import numpy as np
 from visualization_msgs.msg import MarkerArray
 
+STATES = {'initialising': TrackingStatus.INITIALISING, 'predicted': TrackingStatus.PREDICTED,
+          'lost': TrackingStatus.LOST}
 MARKERS_PERIOD = 1_000_000_000  # [ns] while nobody looks
 
 
@@ -29,7 +33,7 @@ class SceneOutput:
 
     def __init__(self, node: Shell):
         """Advertise the topics."""
-        self._node, self._settings = node, node.settings[SceneOutputSettings]
+        self._node = node
         self._odometry = node.create_publisher(Odometry, 'odometry', RELIABLE)
         self._pose = node.create_publisher(PoseWithCovarianceStamped, 'pose', RELIABLE)
         self._twist = node.create_publisher(TwistWithCovarianceStamped, 'twist', RELIABLE)
@@ -44,6 +48,10 @@ class SceneOutput:
             self._tf = node.create_publisher(self._tf_type, '/tf', RELIABLE)
         self.restart()
 
+    @property
+    def _settings(self) -> SceneOutputSettings:
+        return self._node.settings[SceneOutputSettings]
+
     def restart(self):
         """Forget the path."""
         self._poses: deque[PoseStamped] = deque(maxlen=self._settings.path_length)
@@ -51,22 +59,26 @@ class SceneOutput:
         self._shown = view_fields.MarkerBoard(
             self._node.settings[FrameSettings].odom_frame)
 
-    def publish(self, scene: SceneEstimate, frames: RosFrames):
+    def publish(self, scene: SceneEstimate, frames: RosFrames, placement: Placement):
         """Publish an estimate; the transform goes before the data of the same stamp."""
         if scene.status in WITH_POSE:
-            self._publish_pose(scene, frames)
+            placement.note(scene, frames)
+            self._publish_pose(scene, frames, placement)
             self._publish_path(scene, frames)
-        self._map.publish(to_message(PlaneMap, fields.plane_map_to_fields(scene, frames)))
+        self._map.publish(to_message(PlaneMap, fields.plane_map_to_fields(
+            scene, frames, self._node.resets)))
         self._publish_markers(scene, frames)
         self._report(scene)
 
-    def _publish_pose(self, scene: SceneEstimate, frames: RosFrames):
-        if self._tf_type is not None:
+    def _publish_pose(self, scene: SceneEstimate, frames: RosFrames, placement: Placement):
+        if self._tf_type is not None and self._settings.publish_tf:
             transform = fields.transform_to_fields(scene, frames)
             self._tf.publish(to_message(self._tf_type, {'transforms': [transform]}))
         odometry = fields.odometry_to_fields(scene, frames)
-        for part in ('pose', 'twist'):
-            odometry[part]['covariance'] = bounded_covariance(odometry[part]['covariance'])
+        pose, twist = odometry['pose'], odometry['twist']
+        position = np.array([pose['pose']['position'][axis] for axis in 'xyz'])
+        pose['covariance'] = bounded_covariance(placement.widened(pose['covariance'], position))
+        twist['covariance'] = bounded_covariance(twist['covariance'])
         msg = to_message(Odometry, odometry)
         self._odometry.publish(msg)
         self._pose.publish(PoseWithCovarianceStamped(header=msg.header, pose=msg.pose))
@@ -93,28 +105,14 @@ class SceneOutput:
             scene.stamp, view_fields.plane_markers(scene, frames))))
 
     def _report(self, scene: SceneEstimate):
-        health = self._node.health
-        health.value('tracking', scene.status.name)
-        health.value('planes in the map', len(scene.planes))
-        health.value('scale', f'{scene.scale_status.name.lower()} ({scene.scale_source})')
-        if scene.status == TrackingStatus.OK:
-            health.solved('tracking')
-        else:
-            level = (DiagnosticStatus.ERROR if scene.status == TrackingStatus.LOST
-                     else DiagnosticStatus.WARN)
-            health.problem('tracking', _advice(scene), level)
-        if scene.scale_status == ScaleStatus.UNKNOWN:
-            health.warning('scale', 'the scale is not known, lengths have no unit: set '
-                           'scene.camera_height, or publish the speed on wheel_odometry')
-        else:
-            health.solved('scale')
-
-
-def _advice(scene: SceneEstimate) -> str:
-    to_do = {
-        TrackingStatus.INITIALISING: 'move the camera',
-        TrackingStatus.PREDICTED: 'the pose is a prediction; check correspondences and '
-                                  'planes/observations if this lasts',
-        TrackingStatus.LOST: 'no pose is published; check the video, it recovers by itself on '
-                             'good input, or call ~/reset'}[scene.status]
-    return f'{scene.status.name.lower()}: {scene.reason or "no reason given"}; {to_do}'
+        health, status = self._node.health, scene.status
+        health.fresh('tracking', status.name)
+        health.fresh('planes in the map', len(scene.planes))
+        health.fresh('scale', f'{scene.scale_status.name.lower()} ({scene.scale_source})')
+        for key, reported in STATES.items():
+            to_do = CONDITIONS[key].next_step
+            health.set(key, status == reported,
+                       f'{status.name.lower()}: {scene.reason or "no reason given"}; {to_do}')
+        health.set('no_scale', scene.scale_status == ScaleStatus.UNKNOWN)
+        if status == TrackingStatus.OK:
+            health.worked()

@@ -4,7 +4,8 @@ A parameter's name is ``<part>.<setting>`` as in ``Settings`` (``scene.camera_he
 this module have no prefix (``odom_frame``).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cache
 
 from mv_slapse.config import (
     Checked,
@@ -48,6 +49,15 @@ class VideoSettings(Checked):
 
 
 @dataclass(frozen=True)
+class LatencySettings(Checked):
+    """How far a node may fall behind its input."""
+
+    max_latency: float = setting(
+        0.5, 's', 'longest time that input may wait: fed faster than it can work, a node drops '
+        'whole segments, the oldest first, and says so', 0.02, 3600.0)
+
+
+@dataclass(frozen=True)
 class CameraSettings(Checked):
     """Where the calibration comes from."""
 
@@ -81,6 +91,9 @@ class FrameSettings(Checked):
 class SceneOutputSettings(Checked):
     """What slam publishes and saves."""
 
+    publish_tf: bool = setting(
+        True, '-', 'send odom_frame -> base_frame on /tf; false where another node does, such as '
+        'robot_localization')
     path_length: int = setting(1000, '-', 'poses kept in the topic "path"', 1, 100000)
     path_period: float = setting(1.0, 's', 'time between two messages on "path"', 0.0, 60.0)
     output_directory: str = setting(
@@ -99,7 +112,7 @@ class ObstacleOutputSettings(Checked):
 
 
 _VIDEO, _CAMERA = ('', VideoSettings), ('', CameraSettings)
-_FRAMES = ('', FrameSettings)
+_FRAMES, _LATENCY = ('', FrameSettings), ('', LatencySettings)
 _SCENE_OUTPUT, _OBSTACLE_OUTPUT = ('', SceneOutputSettings), ('', ObstacleOutputSettings)
 _DECODER, _EXTRACTION = ('decoder', DecoderSettings), ('extraction', ExtractionSettings)
 _SCENE, _OBSTACLES = ('scene', SceneSettings), ('obstacles', ObstacleSettings)
@@ -107,13 +120,30 @@ _MOUNT = ('scene', MountSettings)
 
 #: node name -> (prefix, settings class) of each group of its parameters
 NODE_SETTINGS: dict[str, tuple[tuple[str, type], ...]] = {
-    'decoder': (_VIDEO, _CAMERA, _DECODER),
-    'plane_extraction': (_CAMERA, _MOUNT, _EXTRACTION),
-    'slam': (_FRAMES, _SCENE_OUTPUT, _SCENE),
-    'obstacle_tracker': (_FRAMES, _OBSTACLE_OUTPUT, _OBSTACLES),
-    'all_in_one': (_VIDEO, _CAMERA, _FRAMES, _SCENE_OUTPUT, _OBSTACLE_OUTPUT, _DECODER,
+    'decoder': (_VIDEO, _CAMERA, _LATENCY, _DECODER),
+    'plane_extraction': (_CAMERA, _LATENCY, _MOUNT, _EXTRACTION),
+    'slam': (_FRAMES, _LATENCY, _SCENE_OUTPUT, _SCENE),
+    'obstacle_tracker': (_FRAMES, _LATENCY, _OBSTACLE_OUTPUT, _OBSTACLES),
+    'all_in_one': (_VIDEO, _CAMERA, _FRAMES, _LATENCY, _SCENE_OUTPUT, _OBSTACLE_OUTPUT, _DECODER,
                    _EXTRACTION, _SCENE, _OBSTACLES),
 }
+#: settings of the core: a new value makes its part begin anew, where the last output has ended
+CORE = (DecoderSettings, ExtractionSettings, MountSettings, SceneSettings, ObstacleSettings)
+LIVE = (*CORE, LatencySettings, SceneOutputSettings, ObstacleOutputSettings)
+FIXED = ('output_directory', 'path_length')  # of these, what is decided at the start
+
+
+def is_live(kind: type, name: str) -> bool:
+    """Return whether a parameter may change while its node runs."""
+    return kind in LIVE and name not in FIXED
+
+
+@cache
+def all_names() -> tuple[str, ...]:
+    """Return the names of all parameters of all nodes."""
+    return tuple(sorted({f'{prefix}.{item.name}' if prefix else item.name
+                         for groups in NODE_SETTINGS.values() for prefix, kind in groups
+                         for item in fields(kind)}))
 
 
 def require(name: str, value: str, choices: tuple[str, ...]) -> str:

@@ -1,4 +1,4 @@
-"""What all nodes share: parameters, diagnostics, ~/reset, ~/pause, and an orderly end."""
+"""What all nodes share: parameters, diagnostics, ~/reset, ~/pause, the border, an orderly end."""
 
 from collections.abc import Callable
 import faulthandler
@@ -7,72 +7,169 @@ import time
 from typing import Any
 
 from mv_slapse.errors import MvSlapseError
+from mv_slapse.message_checks import InvalidMessage
 from mv_slapse.nodes import parameters
-from mv_slapse.nodes.health import Health
+from mv_slapse.nodes.health import Health, SILENCE
+from mv_slapse.nodes.latency import Latency
 from mv_slapse.nodes.settings import NODE_SETTINGS
+from mv_slapse.nodes.supervision import SupervisedExecutor, Tracebacks
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 POLL = 0.5  # [s] at most between a signal and its effect, beside the callback that runs
 END_TIME = 5.0  # [s] after which a process that cannot end is ended, as ros2 launch waits as long
+SPARING = 5.0  # [s] between two lines of one kind in the log
 RCLError = rclpy_implementation.RCLError
 
 
 class Shell(Node):
-    """A node around a core object, which subclasses make anew in ``restart``."""
+    """A node around a core object, which subclasses make anew in ``restart``.
+
+    Attributes
+    ----------
+    settings : dict
+        Settings class -> its values now; those that may change live are looked up when used.
+    resets : int
+        How often a trajectory, or the like, began anew.
+    """
 
     def __init__(self, name: str, **kwargs):
         """Declare the parameters of the node ``name`` and offer the services."""
         super().__init__(name, **kwargs)
         self.settings = parameters.declare(self, NODE_SETTINGS[name])
         self.health = Health(self)
-        self.paused = False
+        self.latency = Latency(self)
+        self.paused, self.resets = False, 0
+        self._tracebacks = Tracebacks()
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(SetBool, '~/pause', self._on_pause)
+        parameters.follow(self, NODE_SETTINGS[name], self.on_settings)
 
     def restart(self):
         """Forget everything but parameters and camera."""
         raise NotImplementedError
 
-    def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[..., None]:
-        """Return a callback that notes arrivals, heeds ~/pause, and reports what it cannot use."""
-        def on_message(msg, info):
+    def go_on(self):
+        """Begin anew where the last output has ended; by default simply anew."""
+        self.begin_anew()
+
+    def on_settings(self, changed: set[type]):
+        """Heed that settings of these classes have changed."""
+
+    def begin_anew(self, reason: str = ''):
+        """Restart, count it, and say why."""
+        if reason:
+            self.get_logger().warning(f'{reason}: starting anew')
+        self.resets += 1
+        self.health.value('resets', self.resets)
+        self.health.restarted()
+        self.restart()
+
+    def guarded(self, topic: str, message_type: type, callback: Callable[[Any], None],
+                proves: bool = False) -> Callable[..., None]:
+        """Return the callback of a raw subscription: it heeds ~/pause, and nothing ends it.
+
+        The bytes are made a message here, inside the border: what cannot be is dropped and
+        counted as well. ``proves``: whether an input that was used takes back the complaints
+        about earlier ones; where it only leads to an output later, the output does.
+        """
+        def on_bytes(data: bytes, info: dict):
             """Note the arrival and try the callback."""
-            self.health.arrived(topic, (time.time_ns() - info['received_timestamp']) / 1e9)
+            self.health.arrived(topic)
             if not self.paused:
-                self.attempt(topic, callback, msg)
+                self.latency.begin((time.time_ns() - info['received_timestamp']) / 1e9)
+                self.attempt(topic, receive, data, proves=proves)
 
-        return on_message
+        def receive(data: bytes):
+            """Make the message and call back."""
+            callback(_message(data, message_type))
 
-    def attempt(self, topic: str, callback: Callable[..., None], *args):
-        """Call, and report an input that cannot be used instead of ending."""
+        return on_bytes
+
+    def attempt(self, part: str, callback: Callable[..., Any], *args: Any,
+                recover: Callable[[], None] | None = None, proves: bool = False) -> Any:
+        """Call; where that raises report it, and after a foreign error start the part anew.
+
+        Returns what the call does, None where it raised.
+        """
         try:
-            callback(*args)
-            self.health.solved(topic)
+            result = callback(*args)
+        except InvalidMessage as error:
+            self.reject(part, error)
         except MvSlapseError as error:
-            self.get_logger().error(f'{topic}: {error}', throttle_duration_sec=5.0)
-            self.health.problem(topic, f'{topic}: {error}')
+            self.get_logger().error(f'{part}: {error}', throttle_duration_sec=SPARING)
+            self.health.count(f'unusable on {part}')
+            self.health.enter('unusable', _prefixed(part, error), part)
+        except Exception as error:
+            self._recover(part, recover or self.go_on)
+            self.fault(part, error)
+        else:
+            if proves:
+                self.health.leave('unusable', 'fault', 'rejected', part=part)
+            return result
+        return None
+
+    def reject(self, part: str, error: Exception):
+        """Report a message that was dropped."""
+        self.get_logger().error(f'{part}: {error}', throttle_duration_sec=SPARING)
+        self.health.count(f'rejected on {part}')
+        self.health.enter('rejected', _prefixed(part, error), part, lasts=SILENCE)
+
+    def fault(self, part: str, error: Exception):
+        """Report an error that should not be, with its traceback once."""
+        self.health.count('faults')
+        said = f'{part}: {type(error).__name__}: {error}'
+        trace = self._tracebacks.first(error)
+        if trace:
+            self.get_logger().error(f'{said}; started anew, please report this:\n{trace}')
+        self.health.enter('fault', f'{said}; the part was started anew; report the traceback in '
+                          'the log', part)
+
+    def escaped(self, part: str, error: Exception):
+        """Report what the executor caught outside our own callbacks: nothing is in disorder."""
+        self.fault(part, error)
+        self.health.leave('fault', part=part)
+
+    def _recover(self, part: str, recover: Callable[[], None]):
+        try:
+            recover()
+        except Exception as error:
+            self.fault(f'restart of {part}', error)
 
     def _on_reset(self, _request, response):
-        self.restart()
+        self.begin_anew()
         self.get_logger().info('reset: started anew')
         response.success, response.message = True, 'started anew'
         return response
 
     def _on_pause(self, request, response):
+        if self.paused and not request.data:
+            self.go_on()
         self.paused = request.data
-        if self.paused:
-            self.health.warning('pause', 'paused: call ~/pause with data: false to go on')
-        else:
-            self.restart()
-            self.health.solved('pause')
+        self.health.set('paused', self.paused)
         response.success, response.message = True, 'paused' if self.paused else 'running'
         return response
+
+
+def _message(data: bytes, message_type: type) -> Any:
+    try:
+        return deserialize_message(data, message_type)
+    except Exception as error:
+        raise InvalidMessage(
+            f'{len(data)} bytes are no {message_type.__name__} ({error}); the message is dropped, '
+            'build publisher and subscriber with the same interface package') from None
+
+
+def _prefixed(part: str, error: Exception) -> str:
+    """Return an error's words, the part before them where they do not begin with it."""
+    said = str(error)
+    return said if said.lstrip('/').startswith(part) else f'{part}: {said}'
 
 
 def run(node_type: Callable[[], Node], args: list[str] | None = None) -> int:
@@ -85,7 +182,7 @@ def run(node_type: Callable[[], Node], args: list[str] | None = None) -> int:
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = node_type()
-        executor = SingleThreadedExecutor()
+        executor = SupervisedExecutor(node.escaped)
         executor.add_node(node)
         while not stop.asked and rclpy.ok():
             executor.spin_once(timeout_sec=POLL)

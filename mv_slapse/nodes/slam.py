@@ -3,11 +3,13 @@
 from mv_slapse import fields
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.nodes import overload
 from mv_slapse.nodes.archive import Archive
 from mv_slapse.nodes.extrinsics import Extrinsics
 from mv_slapse.nodes.gate import Gate
 from mv_slapse.nodes.handovers import Handovers
 from mv_slapse.nodes.health import every
+from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.scene_output import SceneOutput
 from mv_slapse.nodes.shell import run, Shell
@@ -29,28 +31,51 @@ class SlamNode(Shell):
         self._extrinsics = Extrinsics(self)
         self._output, self._archive = SceneOutput(self), Archive(self)
         self._handovers = Handovers(self, Label.STATIONARY)
-        self._speeds = Speeds(self)
+        self._speeds, self._placement = Speeds(self), Placement(self)
         self._gate = Gate(self._is_ready, self._step, HELD)
         self.restart()
         every(self, 0.1, lambda: self.attempt(TOPIC, self._gate.drain))
         self.health.watch(TOPIC, 'start the plane_extraction node in the same namespace')
-        subscribe(self, PlaneObservations, TOPIC, self.guarded(TOPIC, self._gate), RELIABLE)
+        subscribe(self, PlaneObservations, TOPIC,
+                  self.guarded(TOPIC, PlaneObservations, self._take), RELIABLE)
 
     def restart(self):
         """Begin a new trajectory and a new map."""
+        self._placement.restart()
+        for part in (self._output, self._archive):
+            part.restart()
+        self._renew()
+
+    def go_on(self):
+        """Begin a new map where the last pose was."""
+        self._placement.go_on()
+        self.resets += 1
+        self.health.value('resets', self.resets)
+        self.health.restarted()
+        self._renew()
+
+    def on_settings(self, changed: set[type]):
+        """Go on with new settings of the filter."""
+        if SceneSettings in changed:
+            self.go_on()
+
+    def _renew(self):
         self._filter, self._newest = SceneFilter(self.settings[SceneSettings]), 0
-        for part in (self._output, self._archive, self._handovers, self._speeds):
+        for part in (self._handovers, self._speeds):
             part.restart()
 
-    def _is_ready(self, msg: PlaneObservations) -> bool:
-        return self._extrinsics.frames(msg.header.frame_id) is not None
+    def _is_ready(self, _extraction: Extraction, frame: str, _came: float) -> bool:
+        return self._extrinsics.frames(frame) is not None
 
-    def _step(self, msg: PlaneObservations):
-        extraction = fields.extraction_from_message(msg)
+    def _take(self, msg: PlaneObservations):
+        self._gate(fields.extraction_from_message(msg), msg.header.frame_id, self.latency.came)
+
+    def _step(self, extraction: Extraction, frame: str, came: float):
         if extraction.stamp < self._newest:
-            self.get_logger().warning('time went back (a bag played again?): starting anew')
-            self.restart()
-        frames = self._extrinsics.frames(msg.header.frame_id)
+            self.begin_anew('time went back (a bag played again?)')
+        if self.latency.is_behind(came):
+            extraction = overload.unseen(extraction)
+        frames = self._placement.place(self._extrinsics.frames(frame))
         if 0 < self._newest < extraction.previous_stamp:
             self.health.count('gaps')
         self._advance(extraction, frames)
@@ -59,9 +84,9 @@ class SlamNode(Shell):
         self._newest = extraction.stamp
         due = self._handovers.due(extraction.stamp - 1, frames)
         scene, given = self._filter.step(extraction, due, self._speeds.told(extraction.stamp))
-        self._archive.add(scene, extraction.previous_stamp)
+        self._archive.add(scene, extraction.previous_stamp, frames)
         self._handovers.publish(given, frames)
-        self._output.publish(scene, frames)
+        self._output.publish(scene, frames, self._placement)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -22,7 +22,8 @@ class Speeds:
         """Subscribe; a best-effort subscription fits every publisher."""
         self._health = node.health
         self.restart()
-        subscribe(node, Odometry, TOPIC, node.guarded(TOPIC, self._on_message), EITHER)
+        take = node.guarded(TOPIC, Odometry, self._on_message, proves=True)
+        subscribe(node, Odometry, TOPIC, take, EITHER)
 
     def restart(self):
         """Forget what is kept."""
@@ -38,11 +39,9 @@ class Speeds:
     def _check(self, stamp: int):
         """Report speeds that belong to no key frame."""
         apart = min((abs(speed.stamp - stamp) for speed in self._kept), default=0)
-        if apart > APART:
-            self._health.warning('clock', f'{TOPIC} is stamped {apart / 1e9:.1f} s apart from the '
-                                 'video and not used: stamp both with one clock')
-        elif self._kept:
-            self._health.solved('clock')
+        if apart > APART or self._kept:
+            self._health.set('clock', apart > APART, f'{TOPIC} is stamped {apart / 1e9:.1f} s '
+                             'apart from the video and not used: stamp both with one clock')
 
     def _on_message(self, msg: Odometry):
         self._kept.append(fields.speed_from_message(msg))

@@ -46,7 +46,8 @@ class VideoTopic:
         """Nothing is open besides the subscription."""
 
     def _look(self):
-        self._node.attempt(f'type of {TOPIC}', self._try_to_subscribe)
+        self._node.attempt(f'type of {TOPIC}', self._try_to_subscribe, recover=lambda: None,
+                           proves=True)
 
     def _try_to_subscribe(self):
         name = self._type_name()
@@ -78,20 +79,19 @@ class VideoTopic:
                 return
             message = qos.mismatch(self._node, self._topic, profile)
             self._node.get_logger().error(message)
-            self._node.health.problem('qos', message)
+            self._node.health.enter('qos', message, TOPIC)
 
         self._subscription = self._node.create_subscription(
-            message_type, self._topic, self._node.guarded(TOPIC, callback), profile,
-            event_callbacks=SubscriptionEventCallbacks(
+            message_type, self._topic, self._node.guarded(TOPIC, message_type, callback), profile,
+            raw=True, event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=on_incompatible, message_lost=self._on_lost))
         self._node.health.value('video', f'{self._topic}, {qos.text(profile)}')
 
     def _on_lost(self, event):
-        self._node.health.count(f'lost on {TOPIC}', event.total_count_change)
-        self._node.health.warning('lost', f'{self._topic} loses messages: make its publisher '
-                                  'reliable, or raise qos_depth')
+        qos.lost(self._node, TOPIC, event.total_count_change)
 
     def _on_message(self, type_name: str, msg: Any):
+        self._node.health.leave('qos', part=TOPIC)
         content = video_messages.from_message(type_name, msg)
         frame = video_messages.frame_of(type_name, msg)
         if isinstance(content, video_messages.Picture):

@@ -1,25 +1,38 @@
 """What is gathered over a run and written at its end: labels, map, summary."""
 
+from array import array
 import json
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryFile
+from typing import Any, IO
 
 from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.records import Extraction, MapPlane, ScaleStatus, SceneEstimate
+from mv_slapse.storage.whole_files import whole, write_text
 import numpy as np
 
 SCHEMA_VERSION = 1
+MOST_PLANES = 10_000  # kept for map.json, about 20 MB; the oldest go first
 
 
 class LabelArchive:
-    """Labels of all key frames on one grid."""
+    """Labels of all key frames on one grid; they wait on the disk, for a run may last for days."""
 
-    def __init__(self):
-        """Hold nothing yet; the first key frame settles the grid."""
+    def __init__(self, folder: str | Path | None = None):
+        """Hold nothing yet; the first key frame settles the grid.
+
+        ``folder`` is where the labels wait, in files without a name; else where the system keeps
+        such files.
+        """
         self._size = (0, 0)
-        self._stamps: list[int] = []
-        self._labels: list[np.ndarray] = []
-        self._planes: list[np.ndarray] = []
+        self._stamps = array('q')
+        self._labels = TemporaryFile(dir=folder)  # noqa: SIM115 (as long as the archive)
+        self._planes = TemporaryFile(dir=folder)  # noqa: SIM115
+
+    def close(self):
+        """Give up what waits."""
+        self._labels.close()
+        self._planes.close()
 
     def add(self, extraction: Extraction):
         """Take the labels of a key frame; one of another picture size is left out."""
@@ -27,22 +40,29 @@ class LabelArchive:
         if not self._stamps:
             self._size = size
         if size == self._size:
+            self._labels.write(np.asarray(extraction.macroblock_label, np.int8).tobytes())
+            self._planes.write(np.asarray(extraction.macroblock_plane, np.int32).tobytes())
             self._stamps.append(extraction.stamp)
-            self._labels.append(extraction.macroblock_label)
-            self._planes.append(extraction.macroblock_plane)
 
     def save(self, path: Path):
         """Write ``stamp`` [s], ``x``, ``y`` [px], ``label`` and ``plane``."""
         centres = grid_centres(*self._size)
         shape = len(self._stamps), len(centres)
-        np.savez_compressed(
-            path, stamp=np.array(self._stamps, np.int64) / 1e9, x=centres[:, 0], y=centres[:, 1],
-            label=np.array(self._labels, np.int8).reshape(shape),
-            plane=np.array(self._planes, np.int32).reshape(shape))
+        with whole(path, 'wb') as file:
+            np.savez_compressed(
+                file, stamp=np.array(self._stamps, np.int64) / 1e9, x=centres[:, 0],
+                y=centres[:, 1], label=_rows(self._labels, np.int8, shape),
+                plane=_rows(self._planes, np.int32, shape))
+
+
+def _rows(file: IO, dtype: type, shape: tuple[int, int]) -> np.ndarray:
+    """Return a file's numbers without reading them all into memory."""
+    file.flush()
+    return np.memmap(file, dtype, 'r', shape=shape) if min(shape) else np.zeros(shape, dtype)
 
 
 class MapArchive:
-    """All planes there ever were in the map, each as last known."""
+    """The planes there ever were in the map, each as last known; MOST_PLANES of them."""
 
     def __init__(self):
         """Hold nothing yet."""
@@ -52,7 +72,11 @@ class MapArchive:
     def add(self, scene: SceneEstimate):
         """Take the map after a key frame."""
         self._scene = scene
-        self._planes.update((plane.id, plane) for plane in scene.planes)
+        for plane in scene.planes:
+            self._planes.pop(plane.id, None)  # the newest stand last
+            self._planes[plane.id] = plane
+        while len(self._planes) > MOST_PLANES:
+            del self._planes[next(iter(self._planes))]
 
     def content(self) -> dict[str, Any]:
         """Return what ``map.json`` holds."""
@@ -75,10 +99,7 @@ def map_content(scene: SceneEstimate | None, planes: Any) -> dict[str, Any]:
 
 def write_json(path: str | Path, content: dict[str, Any]):
     """Write a JSON file that is either the old one or whole."""
-    path = Path(path)
-    part = path.with_name(path.name + '.part')
-    part.write_text(json.dumps(content, indent=2) + '\n')
-    part.replace(path)
+    write_text(path, json.dumps(content, indent=2) + '\n')
 
 
 def _plane_content(plane: MapPlane, is_current: bool) -> dict[str, Any]:

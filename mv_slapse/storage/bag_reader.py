@@ -3,21 +3,19 @@
 from collections.abc import Collection, Iterator
 import os
 from pathlib import Path
-import sqlite3
 from typing import Any, NamedTuple
 
-from mcap.exceptions import McapError
-from mcap.records import Channel, Message, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.stream_reader import breakup_chunk, StreamReader
 from mv_slapse import fields, video_messages
 from mv_slapse.codec.packet import Packet
-from mv_slapse.errors import UnusableInput, UsageError
+from mv_slapse.errors import MvSlapseError, UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed
-from mv_slapse.storage import messages
+from mv_slapse.storage import bounded, messages
 from mv_slapse.video_messages import Picture
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.rosbag2 import Reader
 
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 ODOMETRY = 'nav_msgs/msg/Odometry'
@@ -75,23 +73,42 @@ class BagReader:
             connections = _connections(self._path)
             self.topics = {c.topic: c.msgtype for c in connections}
             self.counts = {c.topic: c.msgcount for c in connections}
-        except (ReaderError, OSError, ValueError, AssertionError, sqlite3.Error) as error:
+        except UnusableInput as error:
+            raise UnusableInput(f'{path} cannot be read as a bag: {error}') from None
+        except Exception as error:  # rosbags raises whatever a damaged byte leads it to
             self.is_cut = True
             self.topics = {raw.topic: raw.type for raw in _salvage(self._path)}
             if not self.topics:
-                raise UnusableInput(f'{path} cannot be read as a bag: {error}; is it a rosbag2 '
-                                    'folder or an .mcap file with messages in it?') from None
+                raise UnusableInput(f'{path} cannot be read as a bag: {_text(error)}; is it a '
+                                    'rosbag2 folder or an .mcap file with messages in it?'
+                                    ) from None
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[Raw, Any]]:
         """Yield the messages of some topics with their serialised form, in the log's order."""
         read = _salvage if self.is_cut else _whole
-        for raw in read(self._path, topics):
+        for raw in self._guarded(read(self._path, topics)):
             if raw.topic in topics:
-                try:
-                    yield raw, messages.typestore().deserialize_cdr(raw.data, raw.type)
-                except KeyError:
-                    raise UnusableInput(f'{self._path}: topic {raw.topic} has type {raw.type}, '
-                                        'which is not known here') from None
+                yield raw, self._message(raw)
+
+    def _message(self, raw: Raw) -> Any:
+        if raw.type not in messages.typestore().fielddefs:
+            raise UnusableInput(f'{self._path}: topic {raw.topic} has type {raw.type}, '
+                                'which is not known here')
+        try:
+            return messages.typestore().deserialize_cdr(raw.data, raw.type)
+        except Exception as error:  # rosbags raises whatever a damaged byte leads it to
+            raise UnusableInput(f'{self._path}: a message of topic {raw.topic} is damaged: '
+                                f'{_text(error)}') from error
+
+    def _guarded(self, items: Iterator[Raw]) -> Iterator[Raw]:
+        """Yield items; what a damaged bag leads its reader to is one kind of error."""
+        try:
+            yield from items
+        except MvSlapseError as error:
+            raise UnusableInput(f'{self._path}: {error}') from None
+        except Exception as error:
+            raise UnusableInput(f'{self._path} is damaged: {_text(error)}; what comes before has '
+                                'been read') from error
 
     def video_topic(self, topic: str | None = None) -> str:
         """Return the topic with the video, by name or because there is just one.
@@ -157,7 +174,13 @@ class BagReader:
         return name
 
 
+def _text(error: Exception) -> str:
+    """Return an error of another library in one line, with its kind: some say nothing else."""
+    return ' '.join(f'{type(error).__name__} {error}'.split())[:300]
+
+
 def _connections(path: Path) -> list[Connection]:
+    bounded.check_metadata(path)
     with Reader(path) as reader:
         return list(reader.connections)
 
@@ -176,18 +199,14 @@ def _salvage(path: Path, _topics: Collection[str] = ()) -> Iterator[Raw]:
             if stream.read(len(MAGIC)) != MAGIC:
                 continue
             stream.seek(0)
-            yield from _whole_records(StreamReader(stream))
+            yield from _whole_records(StreamReader(
+                stream, emit_chunks=True, record_size_limit=bounded.LARGEST))
 
 
 def _whole_records(reader: StreamReader) -> Iterator[Raw]:
     schemas: dict[int, str] = {}
     channels: dict[int, Channel] = {}
-    records = reader.records
-    while True:
-        try:
-            record = next(records)
-        except (StopIteration, McapError, EOFError, ValueError, OSError):
-            return  # the cut, or damage: what follows cannot be trusted
+    for record in _records(reader):
         if isinstance(record, Schema):
             schemas[record.id] = record.name
         elif isinstance(record, Channel):
@@ -196,6 +215,21 @@ def _whole_records(reader: StreamReader) -> Iterator[Raw]:
             channel = channels[record.channel_id]
             yield Raw(channel.topic, schemas.get(channel.schema_id, ''), record.log_time,
                       bytes(record.data))
+
+
+def _records(reader: StreamReader) -> Iterator[McapRecord]:
+    """Yield records up to the cut, or damage: what follows it cannot be trusted."""
+    records = reader.records
+    while True:
+        try:
+            record = next(records)
+            inner = (breakup_chunk(bounded.uncompressed(record)) if isinstance(record, Chunk)
+                     else [record])
+        except UnusableInput:
+            raise
+        except Exception:  # StopIteration at the end, and all that damage leads mcap to
+            return
+        yield from inner
 
 
 def _mcap_files(folder: Path) -> list[Path]:

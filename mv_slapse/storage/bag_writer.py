@@ -6,6 +6,7 @@ import shutil
 from mv_slapse.errors import UsageError
 from mv_slapse.fields import Fields
 from mv_slapse.storage import messages
+from mv_slapse.storage.whole_files import unusable
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -16,6 +17,8 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+WHAT_IS_LEFT = ('free the disk and run again; what was written until then can be read with '
+                'mv_slapse run')
 FOREVER = QosTime(9223372036, 854775807)
 
 
@@ -62,12 +65,24 @@ class BagWriter:
             self._connections[topic] = self._writer.add_connection(
                 topic, name, typestore=messages.typestore(), offered_qos_profiles=[_qos(latched)])
         self._newest = max(self._newest + 1, stamp)
-        self._writer.write(self._connections[topic], self._newest,
-                           messages.serialize(name, values))
+        data = messages.serialize(name, values)
+        try:
+            self._writer.write(self._connections[topic], self._newest, data)
+        except OSError as error:
+            raise unusable(self.path, error, WHAT_IS_LEFT) from error
 
     def close(self):
-        """Write the index and the metadata."""
-        self._writer.close()
+        """Write the index and the metadata.
+
+        Raises
+        ------
+        UnusableOutput
+            Where there is no place for them.
+        """
+        try:
+            self._writer.close()
+        except OSError as error:
+            raise unusable(self.path, error, WHAT_IS_LEFT) from error
 
 
 class McapFile(BagWriter):
@@ -87,8 +102,11 @@ class McapFile(BagWriter):
     def close(self):
         """Finish the file and put it in its place."""
         super().close()
-        (self.path / self._file.name).replace(self._file)
-        shutil.rmtree(self.path)
+        try:
+            (self.path / self._file.name).replace(self._file)
+            shutil.rmtree(self.path)
+        except OSError as error:
+            raise unusable(self._file, error) from error
 
 
 def _qos(latched: bool) -> Qos:

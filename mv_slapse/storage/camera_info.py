@@ -5,6 +5,7 @@ from pathlib import Path
 from mv_slapse.errors import UnusableInput
 from mv_slapse.geometry.calibration import camera_from_calibration
 from mv_slapse.geometry.camera import Camera
+from mv_slapse.storage import whole_files, yaml_files
 import numpy as np
 import yaml
 
@@ -25,7 +26,7 @@ def read_camera(path: str | Path) -> Camera:
                             'camera_calibration writes it')
     try:
         size = int(content['image_width']), int(content['image_height'])
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise UnusableInput(f'{path}: image_width and image_height must be whole numbers, got '
                             f'{content["image_width"]!r} and {content["image_height"]!r}'
                             ) from None
@@ -42,15 +43,16 @@ def write_camera(path: str | Path, camera: Camera, name: str = 'camera'):
                'distortion_coefficients': _matrix(np.atleast_2d(camera.distortion)),
                'rectification_matrix': _matrix(np.eye(3)),
                'projection_matrix': _matrix(np.c_[camera.K, np.zeros(3)])}
-    Path(path).write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
+    whole_files.write_text(
+        path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
 
 
 def _load(path: Path) -> dict:
     try:
-        content = yaml.safe_load(path.read_text())
+        content = yaml_files.load(path)
     except FileNotFoundError:
         raise UnusableInput(f'there is no camera file {path}') from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError) as error:
         reason = ' '.join(str(error).split())
         raise UnusableInput(f'{path} cannot be read as a camera file: {reason}') from None
     if not isinstance(content, dict):

@@ -1,23 +1,28 @@
 """The files of a run: trajectory, planes, obstacles, labels, map, bag, summary."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
-from mv_slapse.errors import UsageError
+from mv_slapse.errors import MvSlapseError, UnusableOutput, UsageError
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.storage import tables, tum
 from mv_slapse.storage.archives import LabelArchive, MapArchive, write_json
 from mv_slapse.storage.message_log import MessageLog, Step, WITH_POSE
+from mv_slapse.storage.whole_files import PART, part_of, put_in_place
 import numpy as np
 
+ROWS = ('trajectory.tum', 'planes.csv', 'obstacles.csv')
 AT_THE_END = ('labels.npz', 'map.json', 'results.mcap', 'summary.json')
 
 
 class ResultsWriter:
     """Writes the steps of a run as they come; a context manager.
 
-    Rows are on disk after each step, and closing completes the other files, so that a run that
-    is interrupted leaves valid files of what it did.
+    All files grow beside their places, rows line by line, and closing puts them there, so that a
+    run that is interrupted leaves whole files of what it did. One that is killed leaves rows in
+    files that end in ``.part``.
     """
 
     def __init__(self, out: str | Path, frames: RosFrames | None = None):
@@ -31,16 +36,16 @@ class ResultsWriter:
         self.out = Path(out)
         try:
             self.out.mkdir(parents=True, exist_ok=True)
-            for name in AT_THE_END:
+            for name in (*AT_THE_END, *ROWS):
                 (self.out / name).unlink(missing_ok=True)
             self._trajectory = self._text('trajectory.tum')
             self._planes = self._text('planes.csv', tables.PLANES_HEADER)
             self._obstacles = self._text('obstacles.csv', tables.OBSTACLES_HEADER)
+            self._labels = LabelArchive(self.out)
         except OSError as error:
             raise UsageError(f'{out} cannot be written: {error.strerror}; choose another output '
                              'folder with -o') from None
         self._messages = MessageLog(self.out / 'results.mcap', frames or RosFrames())
-        self._labels = LabelArchive()
         self._map = MapArchive()
         self._has_origin = self._is_closed = False
 
@@ -53,32 +58,62 @@ class ResultsWriter:
         self.close()
 
     def write(self, step: Step):
-        """Write what a key frame pair gave."""
+        """Write what a key frame pair gave.
+
+        Raises
+        ------
+        UnusableOutput
+            Where it cannot be written; names what there is.
+        """
         scene = step.scene
-        if scene.status in WITH_POSE:
-            self._write_pose(step)
-            _put(self._planes, tables.plane_rows(scene))
-        _put(self._obstacles, (tables.obstacle_row(o) for o in step.obstacles))
-        self._labels.add(step.extraction)
+        try:
+            if scene.status in WITH_POSE:
+                self._write_pose(step)
+                _put(self._planes, tables.plane_rows(scene))
+            _put(self._obstacles, (tables.obstacle_row(o) for o in step.obstacles))
+            self._labels.add(step.extraction)
+        except OSError as error:
+            raise self._unusable(error) from error
         self._map.add(scene)
         self._messages.write(step)
 
     def close(self, summary: dict[str, Any] | None = None):
-        """Complete all files; a second call does nothing."""
+        """Complete all files; a second call does nothing.
+
+        Where one cannot be completed the others still are.
+
+        Raises
+        ------
+        UnusableOutput
+            Naming the first that cannot be, why, and what was written.
+        """
         if self._is_closed:
             return
         self._is_closed = True
-        for file in (self._trajectory, self._planes, self._obstacles):
-            file.close()
-        self._messages.close()
-        self._labels.save(self.out / 'labels.npz')
-        write_json(self.out / 'map.json', self._map.content())
+        steps = [*(partial(self._finish, file, name) for name, file in zip(
+            ROWS, (self._trajectory, self._planes, self._obstacles), strict=True)),
+            self._messages.close, partial(self._labels.save, self.out / 'labels.npz'),
+            partial(write_json, self.out / 'map.json', self._map.content())]
         if summary is not None:
-            write_json(self.out / 'summary.json', summary)
+            steps.append(partial(write_json, self.out / 'summary.json', summary))
+        errors = [error for step in (*steps, self._labels.close) if (error := _failure(step))]
+        if errors:
+            raise self._unusable(errors[0]) from errors[0]
+
+    def _finish(self, file: TextIO, name: str):
+        file.close()
+        put_in_place(self.out / name)
+
+    def _unusable(self, error: OSError | MvSlapseError) -> UnusableOutput:
+        found = sorted(path.name for path in self.out.iterdir() if path.is_file())
+        reason = getattr(error, 'strerror', None) or error
+        return UnusableOutput(f'{self.out} cannot be written: {reason}; these files are whole: '
+                              f'{", ".join(n for n in found if not n.endswith(PART)) or "none"}; '
+                              'free the disk or choose another folder with -o')
 
     def _text(self, name: str, head: str = '') -> TextIO:
         # line-buffered: whole rows reach the disk, whatever ends the run
-        file = (self.out / name).open('w', buffering=1)
+        file = part_of(self.out / name).open('w', buffering=1)
         _put(file, [head] if head else [])
         return file
 
@@ -90,6 +125,15 @@ class ResultsWriter:
                                        np.zeros(3)))
         rows.append(tum.format_row(scene.stamp, scene.R_world_from_cam, scene.t_world_from_cam))
         _put(self._trajectory, rows)
+
+
+def _failure(step: Callable[[], None]) -> OSError | MvSlapseError | None:
+    """Return why a step failed, None where it did not."""
+    try:
+        step()
+    except (OSError, MvSlapseError) as error:
+        return error
+    return None
 
 
 def _put(file: TextIO, rows: Any):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from mv_slapse.errors import UnusableInput
 from mv_slapse.records import Obstacle, SceneEstimate, Speed
+from mv_slapse.storage import whole_files
 from mv_slapse.storage.tum import format_stamp, parse_stamp
 import numpy as np
 
@@ -37,7 +38,7 @@ def obstacle_row(obstacle: Obstacle) -> str:
 def write_speeds(path: str | Path, speeds: Iterable[Speed]):
     """Write speeds [m/s] as a table of stamps [s] and values."""
     rows = [f'{format_stamp(speed.stamp)},{speed.value:.9g}' for speed in speeds]
-    Path(path).write_text('\n'.join([SPEEDS_HEADER, *rows]) + '\n')
+    whole_files.write_text(path, '\n'.join([SPEEDS_HEADER, *rows]) + '\n')
 
 
 def read_speeds(path: str | Path) -> list[Speed]:
@@ -59,7 +60,7 @@ def read_table(path: str | Path, required: str) -> dict[str, np.ndarray]:
     try:
         with Path(path).open(newline='') as file:
             rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UnusableInput(f'{path} cannot be read as a table: {error}') from None
     names = [name.strip() for name in rows[0]] if rows else []
     missing = [name for name in required.split(',') if name not in names]

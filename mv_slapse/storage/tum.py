@@ -2,12 +2,15 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 from mv_slapse.errors import UnusableInput
+from mv_slapse.storage import whole_files
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+LAST_SECOND = 9_000_000_000  # [s]
 
 
 @dataclass(frozen=True)
@@ -43,8 +46,17 @@ def format_stamp(stamp: int) -> str:
 
 
 def parse_stamp(text: str) -> int:
-    """Return the stamp [ns] of a text in seconds, exactly: a float would lose digits."""
-    return int((Decimal(text) * 1_000_000_000).to_integral_value())
+    """Return the stamp [ns] of a text in seconds, exactly: a float would lose digits.
+
+    Raises
+    ------
+    ValueError, ArithmeticError
+        Where it is no number, or no time that 64 bits hold.
+    """
+    seconds = Decimal(text)
+    if not abs(seconds) <= LAST_SECOND:
+        raise ValueError(f'{text[:40]} is no time')
+    return int((seconds * 1_000_000_000).to_integral_value())
 
 
 def format_row(stamp: int, R: np.ndarray, t: np.ndarray) -> str:
@@ -62,7 +74,7 @@ def write_trajectory(path: str | Path, trajectory: Trajectory):
 
 def write_poses(path: str | Path, poses: Iterable[tuple[int, np.ndarray, np.ndarray]]):
     """Write a trajectory file of (stamp, R, t), as ``format_row`` takes them."""
-    Path(path).write_text(''.join(format_row(*pose) + '\n' for pose in poses))
+    whole_files.write_text(path, ''.join(format_row(*pose) + '\n' for pose in poses))
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
@@ -90,7 +102,7 @@ def _parse(path: str | Path, number: int, line: str) -> tuple[int, list[float]]:
     parts = line.replace(',', ' ').split()
     try:
         stamp, values = parse_stamp(parts[0]), [float(part) for part in parts[1:]]
-    except (InvalidOperation, ValueError):
+    except (ArithmeticError, ValueError):
         values = []
     if len(values) != 7 or not np.all(np.isfinite(values)) or not np.any(values[3:]):
         raise UnusableInput(f'{path}, line {number}: expected "stamp tx ty tz qx qy qz qw", '

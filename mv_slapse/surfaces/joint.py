@@ -5,7 +5,7 @@ from mv_slapse.kernels.binding import compiled
 import numpy as np
 
 WIDTH = 3.0  # of the Geman-McClure kernel [sigma]
-OFF_PLANES, LEFT_OUT = -1, -2  # what tells of the motion alone, and what moves by itself
+LEFT_OUT = -2  # in place of a plane's number: what moves by itself
 
 
 def reestimate(pair: two_view.Pair, motion, planes, index, relief: float, *, steps: int = 4,
@@ -22,7 +22,7 @@ def reestimate(pair: two_view.Pair, motion, planes, index, relief: float, *, ste
     planes : (P, 3) array
         Start, n / d in camera k [1/baseline].
     index : (N,) int array
-        Plane of each correspondence, or OFF_PLANES, or LEFT_OUT.
+        Plane of each correspondence; -1 tells of the motion alone; LEFT_OUT of nothing.
     relief : float
         See two_view.normal_equations.
     steps : int

@@ -4,18 +4,21 @@ import argparse
 from dataclasses import Field, fields
 from pathlib import Path
 
-from mv_slapse.nodes.settings import NODE_SETTINGS
+from mv_slapse.nodes.settings import is_live, NODE_SETTINGS
 import yaml
 
 HEAD = """# Parameters
 
 Written by `make config` from `mv_slapse/config.py` and `mv_slapse/nodes/settings.py`; do not edit.
 
-All parameters are read-only: they are set at the start, by a file (`config/<node>.yaml` names
-every one), `--ros-args -p name:=value`, or `params_file:=` of the launch file. Those with a prefix
-are settings of the core as well: `mv_slapse run --set scene.camera_height=1.65`.
+They are set at the start, by a file (`config/<node>.yaml` names every one), `--ros-args -p
+name:=value`, or `params_file:=` of the launch file; an integer is taken for a float. Those marked
+live can change while the node runs (`ros2 param set`): those with a prefix are settings of the
+core, and a new value lets their part begin anew, a trajectory where the last pose was. On the
+command line these are `mv_slapse run --set scene.camera_height=1.65`. A name that is none is
+warned about, with the nearest one that is.
 """
-COLUMNS = ('Parameter', 'Default', 'Unit', 'Bounds', 'Meaning')
+COLUMNS = ('Parameter', 'Default', 'Unit', 'Bounds', 'Live', 'Meaning')
 
 
 def text() -> str:
@@ -29,16 +32,17 @@ def text() -> str:
 
 
 def _section(prefix: str, kind: type, nodes: list[str]) -> str:
-    rows = [COLUMNS, ('---',) * len(COLUMNS), *(_row(prefix, item) for item in fields(kind))]
+    rows = [COLUMNS, ('---',) * len(COLUMNS), *(_row(prefix, kind, item) for item in fields(kind))]
     table = '\n'.join(f'| {" | ".join(row)} |' for row in rows)
     title = kind.__doc__.splitlines()[0].rstrip('.')
     return f'\n## {title}\n\nOf {", ".join(nodes)}.\n\n{table}\n'
 
 
-def _row(prefix: str, item: Field) -> tuple[str, ...]:
+def _row(prefix: str, kind: type, item: Field) -> tuple[str, ...]:
     unit, _, meaning = item.metadata['doc'][1:].partition('] ')
     name = f'{prefix}.{item.name}' if prefix else item.name
-    cells = (f'`{name}`', f'`{_value(item.default)}`', unit, _bounds(item), meaning)
+    cells = (f'`{name}`', f'`{_value(item.default)}`', unit, _bounds(item),
+             'live' if is_live(kind, item.name) else '', meaning)
     return tuple(cell.replace('|', '\\|') for cell in cells)
 
 

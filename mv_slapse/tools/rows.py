@@ -6,8 +6,9 @@ code that made them says the same, so that another commit of the core need not m
 """
 
 import ast
+from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed, ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass, fields
 from functools import cache as remembered
 from hashlib import sha256
@@ -113,20 +114,31 @@ def measure_all(scenes: Sequence[Scene], cache: Cache, pool: Pool,
     Rows whose figures the cache has are not measured again. ``tell`` is called with each row as it
     is done; ``choose`` returns which of a scene's rows are measured.
     """
+    names: dict[str, list[str]] = {}
+    found: dict[str, Figures] = {}
+    left, running = deque(scenes), {}
     with pool.executor() as executor:
-        prepared = {executor.submit(cache.cases, scene): scene for scene in scenes}
-        names: dict[str, list[str]] = {}
-        rows = []
-        for future in as_completed(prepared):
-            cases = choose(prepared[future], future.result())
-            names[prepared[future].name] = [case.name for case in cases]
-            rows += [executor.submit(measured, case, cache) for case in cases]
-        found = {}
-        for row in as_completed(rows):
-            name, figures = row.result()
-            found[name] = figures
-            if tell:
-                tell(name, figures)
+        def prepare_next():
+            """Make the cases of one more scene; their rows come before those of the next."""
+            if left:
+                scene = left.popleft()
+                running[executor.submit(cache.cases, scene)] = scene
+
+        for _ in range(pool.jobs or os.cpu_count()):
+            prepare_next()
+        while running:
+            for done in wait(running, return_when=FIRST_COMPLETED).done:
+                scene = running.pop(done)
+                if scene is not None:
+                    cases = choose(scene, done.result())
+                    names[scene.name] = [case.name for case in cases]
+                    running |= {executor.submit(measured, case, cache): None for case in cases}
+                    prepare_next()
+                    continue
+                name, figures = done.result()
+                found[name] = figures
+                if tell:
+                    tell(name, figures)
     return {name: found[name] for scene in scenes for name in names[scene.name]}
 
 

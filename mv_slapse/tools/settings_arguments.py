@@ -8,7 +8,7 @@ from typing import Any
 
 from mv_slapse.config import Settings
 from mv_slapse.errors import UsageError
-import yaml
+from mv_slapse.storage import yaml_files
 
 
 def read_settings(path: str | Path, settings: Settings | None = None) -> Settings:
@@ -23,8 +23,8 @@ def read_settings(path: str | Path, settings: Settings | None = None) -> Setting
         Where the file cannot be read, or names a setting that does not exist.
     """
     try:
-        content = yaml.safe_load(Path(path).read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        content = yaml_files.load(path)
+    except (OSError, ValueError) as error:
         raise UsageError(f'{path} cannot be read as a settings file: '
                          f'{" ".join(str(error).split())}') from None
     if not isinstance(content, dict):
@@ -68,7 +68,7 @@ def change(settings: Settings, name: str, value: Any) -> Settings:
 def _sections(content: dict) -> Iterable[tuple[str, dict]]:
     known = {field.name for field in fields(Settings)}
     for key, value in content.items():
-        if isinstance(value, dict) and 'ros__parameters' in value:
+        if isinstance(value, dict) and isinstance(value.get('ros__parameters'), dict):
             yield from ((name, part) for name, part in value['ros__parameters'].items()
                         if name in known and isinstance(part, dict))
         elif isinstance(value, dict):
@@ -81,14 +81,22 @@ def _sections(content: dict) -> Iterable[tuple[str, dict]]:
 def _literal(text: str) -> Any:
     try:
         return ast.literal_eval({'true': 'True', 'false': 'False'}.get(text.lower(), text))
-    except (ValueError, SyntaxError):
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
         return text
+
+
+def _float(name: str, value: int) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        raise UsageError(f'setting {name} cannot be so large: it has {len(str(value))} digits'
+                         ) from None
 
 
 def _as(name: str, value: Any, old: Any) -> Any:
     """Return the value with the type of the one it replaces."""
     if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        return _float(name, value)
     if isinstance(old, tuple) and isinstance(value, list):
         return tuple(value)
     if type(value) is not type(old):

@@ -1,7 +1,7 @@
 from fractions import Fraction
 
 import av
-from mv_slapse.codec import bitstream
+from mv_slapse.codec import bitstream, places
 from mv_slapse.codec.encoder import configure, encode, Encoding, LOW_LATENCY
 import pictures
 import pytest
@@ -65,22 +65,56 @@ def test_a_lost_packet_leaves_a_gap_in_frame_num(rng):
     for lost, expected in ((None, []), (9, [10]), (17, [18])):
         headers = bitstream.Headers()
         gaps = [i for i, packet in enumerate(packets)
-                if i != lost and headers.is_gap(headers.read_slice(packet.data))]
+                if i != lost and headers.missing(headers.read_slice(packet.data))]
         assert gaps == expected
+
+
+def numbered(*pictures, first=0):
+    """Return how many references are missing before each of (is a reference, frame_num)."""
+    headers = bitstream.Headers()
+    headers.sps = bitstream.SequenceParameters(64, 48, 1, False, 4, False, False, 0, 4)
+    return [headers.missing(bitstream.SliceHeader(i == 0, is_reference, number, 1))
+            for i, (is_reference, number) in enumerate(pictures)]
+
+
+def test_a_gap_is_told_once_also_at_a_picture_that_is_no_reference():
+    r, b = True, False
+    assert numbered((r, 0), (r, 1), (b, 2), (b, 2), (r, 2)) == [0] * 5
+    assert numbered((r, 0), (r, 1), (b, 3), (b, 3), (r, 3), (r, 4)) == [0, 0, 1, 0, 0, 0]
+    assert numbered((r, 0), (r, 15), (b, 0), (r, 0), (r, 3)) == [0, 14, 0, 0, 2]
+
+
+def test_parameter_sets_that_no_encoder_writes_are_not_believed():
+    """A counter of 2^30 bits would fill the memory, a number of a million zeros take for ever."""
+    def ue(value):
+        text = bin(value + 1)[2:]
+        return '0' * (len(text) - 1) + text
+
+    def sps(log2):
+        bits = f'{77:08b}' + '0' * 16 + ue(0) + ue(log2) + ue(2) + ue(1)
+        bits += '0' + ue(3) + ue(2) + '1'
+        bits += '1' + '0' * (-(len(bits) + 1) % 8)
+        return b'\x67' + int(bits, 2).to_bytes(len(bits) // 8, 'big')
+
+    assert bitstream.parse_sps(sps(4)).log2_max_frame_num == 8
+    assert bitstream.parse_sps(sps(1 << 30)) is None
+    assert bitstream.parse_sps(b'\x67\x4d' + bytes(1_000_000)) is None
+    assert bitstream.parse_pps(b'\x68' + bytes(1_000_000)) is None
+
+
+def test_extradata_that_is_cut_gives_the_units_before_the_cut():
+    units = [b'\x67' + bytes(range(1, 10)), b'\x68\xaa']
+    extradata = (b'\x01\x64\x00\x1f\xff\xe1' + len(units[0]).to_bytes(2, 'big') + units[0]
+                 + b'\x01' + len(units[1]).to_bytes(2, 'big') + units[1])
+    for size in range(1, len(extradata) + 1):
+        found = list(bitstream.parameter_sets(extradata[:size]))
+        assert found == units[:(size >= 18) + (size >= len(extradata))]
 
 
 def test_b_frames_leave_no_gap(rng):
     headers = bitstream.Headers()
     packets = encode(pictures.sliding(rng, 30, (2, 1)), 30, Encoding('h264', 2, 12))
-    assert not any(headers.is_gap(headers.read_slice(packet.data)) for packet in packets)
-
-
-def test_mpeg_pictures_are_counted_as_they_are_shown(rng):
-    packets = encode(pictures.sliding(rng, 16, (2, 1)), 30, Encoding('mpeg2video', 2, 6))
-    found = [bitstream.picture_number(packet.data) for packet in packets]
-    assert found[:7] == [(True, 0), (False, 3), (False, 1), (False, 2), (True, 2), (False, 0),
-                         (False, 1)]
-    assert bitstream.picture_number(b'\x00\x00\x01\xb3 without a picture') is None
+    assert not any(headers.missing(headers.read_slice(packet.data)) for packet in packets)
 
 
 def test_length_prefixed_units_and_their_parameter_sets_are_read(rng):
@@ -117,5 +151,5 @@ def test_b_pictures_of_mpeg_are_told_from_the_others(rng, codec):
             frame = av.VideoFrame.from_ndarray(image, 'gray').reformat(format='yuv420p')
             frame.pts = i
         packets += [(packet.pts, bytes(packet)) for packet in context.encode(frame)]
-    b_pictures = sorted(pts for pts, data in packets if bitstream.is_b_picture(data))
+    b_pictures = sorted(pts for pts, data in packets if places.is_b_picture(data))
     assert b_pictures == [1, 2, 4, 5, 7] or b_pictures == [1, 2, 4, 5, 7, 8][:len(b_pictures)]

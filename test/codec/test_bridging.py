@@ -33,7 +33,8 @@ def test_a_long_motion_is_found_from_what_is_expected(rng):
     prior = MotionPrior()
     prior.add(Correspondences(0, -40_000_000, pictures.WIDTH, pictures.HEIGHT, SegmentKind.PP,
                               x_cur=grid.astype(np.float32),
-                              x_prev=(grid + step - 2).astype(np.float32)))
+                              x_prev=(grid + step - 2).astype(np.float32),
+                              probability=np.ones(len(grid), np.float32)))
     found = search(segment(pictures.sliding(rng, 2, step)), prior, SETTINGS)
     assert len(found) > 60
     assert np.median(np.abs(found.vector - step)) < 0.1

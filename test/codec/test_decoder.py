@@ -79,6 +79,16 @@ def test_a_lost_packet_breaks_one_pair_with_a_reason(rng):
     assert 'lost' in broken[0].reason
 
 
+@pytest.mark.parametrize('lost', [range(4, 6), range(1, 6)])
+def test_an_i_frame_after_a_loss_is_not_bridged(rng, lost):
+    coded = packets(rng, Encoding('h264', 0, 6), 24)
+    lost = [i + 12 for i in lost]
+    broken = [pair for pair in decoded([p for i, p in enumerate(coded) if i not in lost])
+              if pair.kind is SegmentKind.BROKEN]
+    assert [(pair.previous_stamp, pair.stamp) for pair in broken] == [
+        (40_000_000 * (lost[0] - 1), 40_000_000 * (lost[-1] + 1))]
+
+
 @pytest.mark.parametrize('back', [10_000_000_000, 0])
 def test_a_clock_that_is_set_back_breaks_one_pair_also_at_an_i_frame(rng, back):
     coded = packets(rng, Encoding('h264', 0, 6), 12)
@@ -87,6 +97,15 @@ def test_a_clock_that_is_set_back_breaks_one_pair_also_at_an_i_frame(rng, back):
     pairs = decoded(coded)
     assert [pair.reason for pair in pairs] == [
         *[''] * 5, 'time stamps do not increase', *[''] * 5]
+
+
+@pytest.mark.parametrize('apart', [1, 99_999])
+def test_pictures_that_are_no_time_apart_break_a_pair(rng, apart):
+    coded = packets(rng, LOW_LATENCY, 12)
+    at = coded[5].stamp + apart
+    coded[6] = replace(coded[6], stamp=at)
+    broken = [pair for pair in decoded(coded) if pair.kind is SegmentKind.BROKEN]
+    assert [pair.stamp for pair in broken][:1] == [at]
 
 
 def test_a_change_of_size_breaks_one_pair(rng):

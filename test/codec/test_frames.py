@@ -1,5 +1,6 @@
 from dataclasses import replace
 from fractions import Fraction
+from io import BytesIO
 from itertools import pairwise
 
 import av
@@ -76,6 +77,13 @@ def test_what_lies_behind_a_packet_in_memory_does_not_matter():
             assert not frame.damage
 
 
+@pytest.mark.parametrize('stamp', [1 << 62, -(1 << 62)])
+def test_a_stamp_that_no_clock_has_is_refused(rng, stamp):
+    packet = next(encode(pictures.sliding(rng, 2, (2, 1)), 25, LOW_LATENCY))
+    with pytest.raises(UnusableInput, match=str(stamp)):
+        FrameDecoder(False).feed(replace(packet, stamp=stamp))
+
+
 def test_an_empty_packet_is_ignored(rng):
     packets = list(encode(pictures.sliding(rng, 6, (2, 1)), 25, LOW_LATENCY))
     packets.insert(3, replace(packets[0], data=b''))
@@ -117,6 +125,45 @@ def test_a_packet_of_noise_is_damage_and_no_exception(rng):
     packets = list(encode(pictures.sliding(rng, 8, (2, 1)), 25, LOW_LATENCY))
     packets[4] = replace(packets[4], data=packets[4].data[:5] + rng.bytes(60))
     assert any(frame.damage for frame in decoded(packets))
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_what_could_not_be_decoded_is_told_by_the_next_picture(rng, encoding):
+    """Whatever counts and stamps say: here nothing is missing but the decoder's consent."""
+    packets = list(encode(pictures.sliding(rng, 12, (2, 1)), 25, encoding))
+    refused = replace(packets[5], data=b'\x00\x00\x01\xb3' + bytes(8), stamp=1)
+    decoder = FrameDecoder(False)
+    before = [frame for packet in packets[:6] for frame in decoder.feed(packet)]
+    decoder._decode(decoder._wrap(refused))
+    decoder._continuity.report(decoder._count, 'a packet could not be decoded (here)')
+    after = [frame for packet in packets[6:] for frame in decoder.feed(packet)]
+    assert not any(frame.damage for frame in before)
+    assert any('could not be decoded' in frame.damage for frame in after)
+
+
+def test_a_packet_that_ffmpeg_refuses_and_shows_later_is_no_exception(data):
+    """After zeros in the stream FFmpeg calls a packet an error and shows its picture later."""
+    path = data / 'parking' / 'mpeg2.mpg'
+    content = bytearray(path.read_bytes()[:400_000])
+    content[65816:65880] = bytes(64)
+    with av.open(BytesIO(bytes(content))) as container:
+        packets = [Packet(bytes(packet), int(packet.dts), bool(packet.is_keyframe), 'mpeg2video')
+                   for packet in container.demux(video=0) if packet.size and packet.dts]
+    frames = decoded(packets)
+    assert any(frame.damage for frame in frames)
+    assert len(frames) >= len(packets) - 3
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_what_is_kept_of_packets_without_pictures_is_bounded(rng, encoding):
+    packets = list(encode(pictures.sliding(rng, 3, (2, 1)), 25, encoding))
+    decoder = FrameDecoder(False)
+    decoder.feed(packets[0])
+    for i in range(400):
+        decoder.feed(replace(packets[0], data=rng.bytes(40), stamp=i))
+    kept = [decoder._stamps._pending, decoder._stamps._dropped, decoder._continuity._places,
+            decoder._continuity._events]
+    assert max(map(len, kept)) <= 70
 
 
 def test_a_lost_reference_is_damage_of_the_picture_after_it(rng):

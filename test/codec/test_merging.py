@@ -68,8 +68,14 @@ def linear(x):
     return (x - 70) @ np.array([[0.02, 0.005], [-0.01, 0.03]]) + (3, -1)
 
 
+def consensus(evidence, *given, **changes):
+    """Return place, vector and variance of what is supported."""
+    *columns, lone = merging.agreed(evidence, (WIDTH, HEIGHT), *given, **changes)
+    return tuple(column[~lone] for column in columns)
+
+
 def agreed(evidence, settings=SETTINGS):
-    return merging.consensus(evidence, WIDTH, HEIGHT, settings)
+    return consensus(evidence, settings)
 
 
 def test_a_linear_motion_stays_exact_with_evidence_beside_the_centres():
@@ -98,7 +104,7 @@ def test_wrong_vectors_are_rejected_and_the_others_stay(rng):
 def test_what_comes_near_keeps_its_vectors_though_they_grow_from_block_to_block():
     evidence = lattice(lambda x: 0.3 * (x - (80, 64)))  # 4.8 px more for each block
     x, vector, _ = agreed(evidence)
-    alone, _, _ = merging.consensus(evidence, WIDTH, HEIGHT, SETTINGS, grows=False)
+    alone, _, _ = consensus(evidence, SETTINGS, grows=False)
     assert len(alone) < len(x) / 2
     np.testing.assert_allclose(vector, 0.3 * (x - (80, 64)), atol=1e-4)
     inner = np.all((x > 16) & (x < (WIDTH - 16, HEIGHT - 16)), axis=1)
@@ -159,11 +165,11 @@ def test_a_lone_vector_needs_the_pairs_before_to_speak_for_it(rng):
     evidence = lattice(lambda x: rng.uniform(-60, 60, x.shape))
     settings = DecoderSettings(prior_votes=2.5)
     field = evidence.vector.reshape(8, 10, 2)
-    x, vector, _ = merging.consensus(evidence, WIDTH, HEIGHT, settings, field)
+    x, vector, _ = consensus(evidence, settings, field)
     assert len(x) == 80
     np.testing.assert_allclose(vector, evidence.vector, atol=1e-4)
     assert len(agreed(evidence)[0]) < 8
-    assert len(merging.consensus(evidence, WIDTH, HEIGHT, settings, field + 999)[0]) < 8
+    assert len(consensus(evidence, settings, field + 999)[0]) < 8
 
 
 def skipped(vector):
@@ -172,14 +178,14 @@ def skipped(vector):
 
 
 def test_skipped_macroblocks_do_not_support_each_other_where_the_picture_moves():
-    x, vector, _ = merging.consensus(skipped((6, 0)), WIDTH, HEIGHT, SETTINGS)
+    x, vector, _ = consensus(skipped((6, 0)), SETTINGS)
     assert np.all(vector[:, 0] == 6)
     assert np.all(x[:, 0] < 0.6 * WIDTH)
 
 
 @pytest.mark.parametrize('evidence', [skipped((1, 0)), lattice(lambda x: 0 * x)])
 def test_zero_vectors_count_where_the_camera_stands_or_hardly_moves(evidence):
-    x, vector, _ = merging.consensus(evidence, WIDTH, HEIGHT, SETTINGS)
+    x, vector, _ = consensus(evidence, SETTINGS)
     assert len(x) == len(evidence)
     assert np.any(np.all(vector == 0, axis=1))
 
@@ -220,7 +226,7 @@ def test_a_lone_vector_over_several_pictures_says_nothing(n_b, references, share
 def test_nothing_but_lone_vectors_is_nothing(rng):
     evidence = lattice(linear)
     evidence.vector[:] = rng.uniform(-40, 40, evidence.vector.shape)
-    few = merging._chosen(evidence, WIDTH, HEIGHT, SETTINGS, None, True)
+    few = merging.agreed(evidence, (WIDTH, HEIGHT), SETTINGS)
     assert few[-1].all()
     assert len(few[-1]) > 60
     assert len(merging.average(segment_of(evidence), evidence, SETTINGS)) == 0

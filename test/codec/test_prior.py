@@ -10,7 +10,8 @@ SECOND = 10 ** 9
 
 def pair(x, vector, seconds=0.1):
     return Correspondences(round(seconds * SECOND), 0, 160, 128, SegmentKind.PP,
-                           x_cur=x, x_prev=(x + vector).astype(np.float32))
+                           x_cur=x, x_prev=(x + vector).astype(np.float32),
+                           probability=np.full(len(x), 0.6, np.float32))
 
 
 def linear(x):
@@ -40,7 +41,7 @@ def test_a_turn_of_the_camera_shifts_what_is_expected(rng):
     vectors = linear(GRID) + turn
     wrong = rng.random(len(GRID)) < 0.3
     vectors[wrong] += rng.uniform(-60, 60, (np.count_nonzero(wrong), 2))
-    field = prior.field(0.1, GRID, vectors)
+    field = prior.field(0.1, GRID, vectors.astype(np.float32))
     np.testing.assert_allclose(at(field, GRID)[INSIDE], linear(GRID[INSIDE]) + turn, atol=1)
 
 

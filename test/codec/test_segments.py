@@ -4,13 +4,14 @@ from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
 import pytest
 
+STEP = 40_000_000
 
 def frames(types, **changes):
-    """One picture a second for each letter, with one vector in all but I frames."""
+    """A picture each 40 ms for each letter, with one vector in all but I frames."""
     made = []
     for i, letter in enumerate(types):
         n = 0 if letter == 'I' else 1
-        values = {'stamp': i, 'frame_type': FrameType[letter], 'width': 64, 'height': 48,
+        values = {'stamp': i * STEP, 'frame_type': FrameType[letter], 'width': 64, 'height': 48,
                   'x': np.zeros((n, 2), np.float32), **changes.get(f'at{i}', {})}
         made.append(FrameVectors(**values))
     return made
@@ -30,8 +31,8 @@ def test_kinds_are_those_of_the_key_frames_at_both_ends(types, kinds):
 
 def test_a_segment_holds_its_b_frames_in_order():
     segment, = segments('IBBBP')
-    assert [frame.stamp for frame in segment.between] == [1, 2, 3]
-    assert (segment.previous.stamp, segment.current.stamp) == (0, 4)
+    assert [frame.stamp for frame in segment.between] == [STEP, 2 * STEP, 3 * STEP]
+    assert (segment.previous.stamp, segment.current.stamp) == (0, 4 * STEP)
 
 
 def test_consecutive_segments_share_a_key_frame():
@@ -57,7 +58,7 @@ def test_a_change_of_size_breaks_the_segment_and_names_both():
     assert '32x48' in segment.reason
 
 
-@pytest.mark.parametrize('stamp', [1, 0, -5])
+@pytest.mark.parametrize('stamp', [STEP + 1, STEP, 0, -5])
 def test_stamps_that_do_not_increase_break_the_segment(stamp):
     segment = segments('IPP', at2={'stamp': stamp})[1]
     assert segment.kind is SegmentKind.BROKEN
@@ -65,7 +66,7 @@ def test_stamps_that_do_not_increase_break_the_segment(stamp):
 
 
 def test_key_frames_seconds_apart_are_not_joined():
-    segment = segments('IPP', at2={'stamp': LONGEST + 2})[1]
+    segment = segments('IPP', at2={'stamp': LONGEST + STEP + 1})[1]
     assert segment.kind is SegmentKind.BROKEN
     assert 'too far apart' in segment.reason
-    assert segments('IPP', at2={'stamp': LONGEST + 1})[1].kind is SegmentKind.PP
+    assert segments('IPP', at2={'stamp': LONGEST + STEP})[1].kind is SegmentKind.PP

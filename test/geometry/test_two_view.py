@@ -1,7 +1,8 @@
 """Normal equations of a pair against the numerical gradient and Hessian of their cost."""
 
 from canyon import CANYON, K, motion, MOTIONS, SKY, views
-from mv_slapse.geometry import homography, rotation, two_view
+from kernels.two_view_reference import plane_transfer
+from mv_slapse.geometry import rotation, two_view
 from mv_slapse.geometry.camera import to_rays
 from numeric import jacobian
 import numpy as np
@@ -65,14 +66,14 @@ def test_plane_vector_is_minus_half_the_gradient_of_the_cost(noisy):
 
 def test_relief_leaves_the_gradient_that_of_the_cost_with_weights_held(noisy):
     pair, plane, relief = noisy.pair[noisy.surface == WALL], CANYON[WALL], 0.05
-    predicted, far = (homography.plane_transfer(pair.rays_cur, K, noisy.R, noisy.t, of)
+    predicted, far = (plane_transfer(pair.rays_cur, K, noisy.R, noisy.t, of)
                       for of in (plane, np.zeros(3)))
     along = relief * (predicted - far)
     W = np.linalg.inv((pair.sigma**2)[:, None, None] * np.eye(2)
                       + along[:, :, None] * along[:, None])
 
     def cost(p):
-        e = pair.x_prev - homography.plane_transfer(pair.rays_cur, K, *moved(noisy, p),
+        e = pair.x_prev - plane_transfer(pair.rays_cur, K, *moved(noisy, p),
                                                     plane + p[6:])
         m2 = np.einsum('ni,nij,nj->n', e, W, e)
         return np.sum(m2 / (1 + m2 / 9))

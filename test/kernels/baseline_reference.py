@@ -7,7 +7,6 @@ from mv_slapse.motion.baseline import (
     MAX_SPREAD,
     MIN_BLOCKS,
     MIN_NEIGHBOURS,
-    RELIEF,
     SAME_SURFACE,
 )
 import numpy as np
@@ -36,7 +35,7 @@ def at(depths, x):
 def sigma_of(depths, near, rho):
     """Return the standard deviation of the blocks near where they have about rho."""
     sigma = depths.noise[near] * np.square(1 - rho * depths.approach)
-    return np.maximum(np.hypot(sigma, RELIEF * rho), 1e-12)
+    return np.maximum(np.hypot(sigma, depths.relief * rho), 1e-12)
 
 
 def _at_origin(x, y, value, weight):
@@ -95,7 +94,8 @@ def robust_mean(value, sigma, expected=0.0):
     if len(value) < MIN_BLOCKS:
         return BaselineRatio()
     width = 3 * np.maximum(sigma, 0.02)
-    candidates = np.quantile(value, np.linspace(0.05, 0.95, 61))
+    n = min(len(value), 31)
+    candidates = value[np.arange(n) * len(value) // n]
     support = (1 / (1 + np.square((value - candidates[:, None]) / width)) / width).sum(axis=1)
     support /= 1 + np.square((candidates - expected) / CHANGE)
     mean = candidates[np.argmax(support)]

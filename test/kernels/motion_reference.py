@@ -1,5 +1,6 @@
 """Motion and observations of blocks in numpy: the formulas of their kernels, as reference."""
 
+from kernels.two_view_reference import epipolar_jacobian
 from mv_slapse.geometry import epipolar, rotation
 from mv_slapse.motion.estimate import MIN_CORRESPONDENCES, MotionFit, SETTLED, WIDTHS
 import numpy as np
@@ -62,7 +63,7 @@ def turn(rays_cur, rays_prev, sigma, focal, R, steps=6):
 def _error(rays_cur, rays_prev, focal, R, t):
     """Epipolar error, its derivative (N, 5) by (w, two tangents of t), and these tangents."""
     basis = rotation.tangent_basis(t)
-    error, J = epipolar.epipolar_jacobian(rays_cur, rays_prev, focal, R, t)
+    error, J = epipolar_jacobian(rays_cur, rays_prev, focal, R, t)
     return error, np.c_[J[:, :3], J[:, 3:] @ basis], basis
 
 
@@ -109,6 +110,15 @@ def inverse_depth(rays_cur, rays_prev, focal, R, t):
     return rho, np.abs(1 - rho * t[2]) / length
 
 
+def reach(rays_cur, focal, t_cur_from_prev) -> np.ndarray:
+    """Parallax of points at distance 1 from camera k-1 for each ray (N, 3) of camera k, (N,) [px].
+
+    From x - y = rho_prev (t_xy - x t_z): free of the noise of the match, as x is exact.
+    """
+    g = (t_cur_from_prev[:2] - rays_cur[:, :2] * t_cur_from_prev[2]) * focal
+    return np.maximum(np.hypot(g[:, 0], g[:, 1]), 1e-9)
+
+
 def before_camera(rays_cur, rays_prev, focal, R, t) -> np.ndarray:
     """Return True where a block's motion puts it before the camera, (N,)."""
     y = epipolar.derotate(rays_prev, R)[:, :2]
@@ -130,7 +140,7 @@ def observed(pair, fit, epsilon_f, epsilon_m, relief):
     R, t, focal = fit.R_cur_from_prev, fit.t_cur_from_prev, pair.focal
     error = epipolar_error(pair.rays_cur, pair.rays_prev, focal, R, t) / pair.sigma
     rho, per_pixel = inverse_depth(pair.rays_cur, pair.rays_prev, focal, R, t)
-    blur, far = per_pixel * pair.sigma, pair.sigma / epipolar.reach(pair.rays_cur, focal, t)
+    blur, far = per_pixel * pair.sigma, pair.sigma / reach(pair.rays_cur, focal, t)
     flow = epipolar.parallax(pair.rays_cur, pair.rays_prev, focal, R)
     parallax = np.linalg.norm(flow, axis=1)
     inlier, near = np.abs(error) < epsilon_f, parallax >= epsilon_m

@@ -103,11 +103,11 @@ def test_joint_refinement(scene, start, known):
 
 def depth_maps(scene, rng):
     """Return the depths of two pairs, the later one a third longer, noisy and in part wrong."""
-    unit = np.maximum(0.3 / epipolar.reach(scene.pair.rays_cur, scene.pair.focal, scene.t), 1e-9)
+    unit = np.maximum(0.3 / reference.reach(scene.pair.rays_cur, scene.pair.focal, scene.t), 1e-9)
     for factor in (1.0, 1.3):
         rho = factor * scene.rho + unit * rng.normal(size=len(unit))
         rho[rng.uniform(size=len(rho)) < 0.1] *= 3
-        yield baseline.depth_map(WIDTH, HEIGHT, scene.x_cur, rho, unit, scene.t[2],
+        yield baseline.depth_map((WIDTH, HEIGHT), (scene.x_cur, rho, unit), scene.t[2], 0.03,
                                  scene.surface >= 0)
 
 

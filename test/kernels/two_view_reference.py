@@ -1,7 +1,60 @@
 """Two views in numpy: the formulas of kernels two_view and joint, as reference."""
 
-from mv_slapse.geometry import epipolar, homography, rotation
+from mv_slapse.geometry import rotation
+from mv_slapse.geometry.rotation import cross
 import numpy as np
+
+
+def epipolar_jacobian(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
+    """Return epipolar_error (N,) [px] and its derivative (N, 6) by (w, t), R -> exp(w) R."""
+    c = cross(rays_cur, t_cur_from_prev)
+    line = c @ R_cur_from_prev
+    norm = _line_norm(line, focal)
+    error = np.einsum('ij,ij->i', rays_prev, line) / norm
+    # error = y . c / norm with y = R x_prev; norm^2 = sum((line / focal)^2), line = R^T c.
+    y = rays_prev @ R_cur_from_prev.T
+    slope = line[:, :2] / np.square(focal) @ R_cur_from_prev[:, :2].T
+    e_n = (error / norm)[:, None]
+    by_c = y - e_n * slope
+    jacobian = np.empty((len(error), 6))
+    jacobian[:, :3] = cross(y, c) - e_n * cross(slope, c)
+    jacobian[:, 3:] = cross(by_c, rays_cur)
+    return error, jacobian / norm[:, None]
+
+
+def _line_norm(line, focal):
+    """Length of the pixel normal of lines given in ray coordinates, never zero."""
+    return np.maximum(np.hypot(line[:, 0] / focal[0], line[:, 1] / focal[1]), 1e-12)
+
+
+def plane_transfer(rays_cur, K, R_cur_from_prev, t_cur_from_prev, plane_cur) -> np.ndarray:
+    """Predict x_prev (N, 2) [px] of blocks on a plane, the observation (19) of [SLAPSE]."""
+    depthless = rays_cur + np.outer(rays_cur @ plane_cur, t_cur_from_prev)
+    q = depthless @ R_cur_from_prev
+    return q[:, :2] / q[:, 2:] * (K[0, 0], K[1, 1]) + K[:2, 2]
+
+
+def plane_transfer_jacobian(rays_cur, K, R_cur_from_prev, t_cur_from_prev, plane_cur):
+    """Return plane_transfer (N, 2) [px] and its derivative (N, 2, 9) by (w, t, plane).
+
+    The rotation is perturbed as exp(w) R. Derivation: q = R^T (x + t (plane . x)), so
+    dq = R^T ([p]x dw + (plane . x) dt + t x^T dplane) with p = x + t (plane . x).
+    """
+    along = rays_cur @ plane_cur
+    p = rays_cur + np.outer(along, t_cur_from_prev)
+    q = p @ R_cur_from_prev
+    focal = np.array([K[0, 0], K[1, 1]])
+    pixels = q[:, :2] / q[:, 2:] * focal + K[:2, 2]
+    # d pixel / d q, rotated back: rows a_u, a_v (N, 3) such that d pixel = a . (R dq).
+    by_q = np.zeros((len(q), 2, 3))
+    by_q[:, 0, 0], by_q[:, 1, 1] = focal[0] / q[:, 2], focal[1] / q[:, 2]
+    by_q[:, :, 2] = -focal * q[:, :2] / q[:, 2:]**2
+    a = by_q @ R_cur_from_prev.T
+    jacobian = np.empty((len(q), 2, 9))
+    jacobian[:, :, :3] = cross(a, p[:, None])
+    jacobian[:, :, 3:6] = a * along[:, None, None]
+    jacobian[:, :, 6:] = (a @ t_cur_from_prev)[:, :, None] * rays_cur[:, None]
+    return pixels, jacobian
 
 
 def epipolar_terms(pair, R, t, width: float):
@@ -10,7 +63,7 @@ def epipolar_terms(pair, R, t, width: float):
     Geman-McClure kernel of ``width`` standard deviations; the cost is minus twice its log
     likelihood, bounded by width^2 for each correspondence.
     """
-    error, J = epipolar.epipolar_jacobian(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
+    error, J = epipolar_jacobian(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
     m2 = np.square(error / pair.sigma)
     weight = 1 / np.square(1 + m2 / width**2) / pair.sigma**2
     weighted = weight[:, None] * J
@@ -37,7 +90,7 @@ def plane_terms(pair, R, t, plane, relief: float, width: float,
     b : (9,) array
     cost : float
     """
-    predicted, J = homography.plane_transfer_jacobian(pair.rays_cur, pair.K, R, t, plane)
+    predicted, J = plane_transfer_jacobian(pair.rays_cur, pair.K, R, t, plane)
     error = pair.x_prev - predicted
     across, along = plane_weights(pair, R, predicted, relief)
     m2 = np.einsum('ni,nij,nj->n', error, across + along, error)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from canyon import CANYON, HEIGHT, K, motion, views, WIDTH
-from mv_slapse.geometry import epipolar
+from kernels.motion_reference import reach
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry.two_view import Pair
 from mv_slapse.motion import baseline
@@ -12,21 +12,27 @@ from mv_slapse.motion.observations import observe
 import numpy as np
 import pytest
 
+RELIEF = 0.03
+
 
 def depths_seen(scene, t, rng, noise):
     """Return inverse depths with noise [px] along the epipolar lines, and its share of the noise.
 
     A match that is off by e moves the inverse depth by e (1 - rho t_z)^2 / reach.
     """
-    unit = noise / epipolar.reach(scene.pair.rays_cur, scene.pair.focal, t)
+    unit = noise / reach(scene.pair.rays_cur, scene.pair.focal, t)
     error = unit * np.square(1 - scene.rho * t[2]) * rng.normal(size=len(unit))
     return scene.rho + error, np.maximum(unit, 1e-9)
 
 
+def moving(R, t):
+    return MotionFit(R, t, np.zeros((6, 6)), 0.0)
+
+
 def seen(pair, rho, unit):
     """Return observations that hold these depths of all blocks."""
-    fit = MotionFit(np.eye(3), np.array([0, 0, -1.0]), np.zeros((6, 6)), 0.0)
-    return replace(observe(pair, fit, 3.0, 1.0, 0.0), rho=rho, far_sigma=unit,
+    ahead = moving(np.eye(3), np.array([0, 0, -1.0]))
+    return replace(observe(pair, ahead, 3.0, 1.0, 0.0), rho=rho, far_sigma=unit,
                    has_depth=np.ones(len(pair), bool))
 
 
@@ -37,12 +43,13 @@ def drive(factor, rng, noise=0.0, outliers=0.0, expected=0.0):
     planes = np.array([plane_geometry.transform(p * factor, R, t) for p in CANYON])
     second = views(R, t, planes=planes)
     rho, unit = depths_seen(first, t, rng, noise)
-    before = baseline.depth_map(WIDTH, HEIGHT, first.x_cur, rho, unit, t[2], first.surface >= 0)
+    before = baseline.depth_map((WIDTH, HEIGHT), (first.x_cur, rho, unit), t[2], RELIEF,
+                                first.surface >= 0)
     rho, unit = depths_seen(second, t, rng, noise)
     wrong = rng.uniform(size=len(rho)) < outliers
     rho[wrong] *= rng.uniform(0.2, 5, wrong.sum())
     now = baseline.from_previous((WIDTH, HEIGHT), seen(second.pair, rho, unit),
-                                 second.surface >= 0, R, t)
+                                 second.surface >= 0, moving(R, t), RELIEF)
     return baseline.baseline_ratio(before, now, expected)
 
 
@@ -63,7 +70,8 @@ def test_nothing_in_common_is_an_unknown_ratio():
     scene = views(R, t)
     unit = np.full(len(scene.rho), 0.01)
     nothing = np.zeros(len(unit), bool)
-    empty, full = (baseline.depth_map(WIDTH, HEIGHT, scene.x_cur, scene.rho, unit, t[2], usable)
+    empty, full = (baseline.depth_map((WIDTH, HEIGHT), (scene.x_cur, scene.rho, unit), t[2],
+                                      RELIEF, usable)
                    for usable in (nothing, ~nothing))
     for before, now in ((empty, full), (full, empty), (empty, empty)):
         assert baseline.baseline_ratio(before, now).sigma == np.inf
@@ -73,8 +81,8 @@ def test_a_depth_map_is_exact_between_the_blocks_of_a_plane(rng):
     x = np.stack(np.meshgrid(np.arange(7.5, 160, 16), np.arange(7.5, 96, 16)), -1).reshape(-1, 2)
     slope = np.array([2e-3, -1e-3])
     rho = 0.8 + x @ slope
-    found = baseline.depth_map(160, 96, x, rho, np.full(len(x), 0.01), -1.0,
-                            np.ones(len(x), bool))
+    found = baseline.depth_map((160, 96), (x, rho, np.full(len(x), 0.01)), -1.0, RELIEF,
+                               np.ones(len(x), bool))
     places = rng.uniform([16, 16], [143, 79], (50, 2))  # a corner has four
     value, sigma = found.at(places)
     np.testing.assert_allclose(value, 0.8 + places @ slope, atol=1e-12)
@@ -84,7 +92,8 @@ def test_a_depth_map_is_exact_between_the_blocks_of_a_plane(rng):
 def test_a_depth_map_knows_nothing_where_too_few_blocks_are_of_one_surface():
     x = np.array([[7.5, 7.5], [23.5, 7.5], [7.5, 23.5], [23.5, 23.5], [39.5, 23.5]])
     rho = np.array([0.5, 0.5, 0.5, 1.5, 1.5])
-    found = baseline.depth_map(48, 32, x, rho, np.full(5, 0.01), 0.0, np.ones(5, bool))
+    found = baseline.depth_map((48, 32), (x, rho, np.full(5, 0.01)), 0.0, RELIEF,
+                               np.ones(5, bool))
     assert np.isnan(found.at(x)[0]).all()
 
 
@@ -95,7 +104,8 @@ def test_points_behind_the_previous_camera_do_not_count():
     rays = np.c_[np.zeros((n, 2)), np.ones(n)]
     rho = np.where(np.arange(n) % 2, 0.5, 1 / 12)  # 2 - 10 < 0, and 12 - 10 = 2
     pair = Pair(rays, rays, x, np.ones(n), K)
-    now = baseline.from_previous((160, 80), seen(pair, rho, np.full(n, 1e-4)), True, R, t)
+    now = baseline.from_previous((160, 80), seen(pair, rho, np.full(n, 1e-4)), True,
+                                 moving(R, t), RELIEF)
     index = now.grid[now.grid >= 0]
     assert set(index) == set(range(0, n, 2))
     np.testing.assert_allclose(now.rho[index], 0.5)

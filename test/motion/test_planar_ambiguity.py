@@ -28,7 +28,7 @@ def floor(rng, noise=0.1, baseline=0.1):
 
 def fits(pair):
     """Return the motions of the floor, the right one first."""
-    motions = [planar_ambiguity.oriented(pair, refined_from(pair, *motion))
+    motions = [refined_from(pair, *motion)
                for motion in planar_ambiguity.from_homography(pair)]
     return sorted(motions, key=lambda fit: angle(fit.R_cur_from_prev @ R.T))
 
@@ -39,8 +39,9 @@ def test_both_motions_of_a_plane_fit_its_epipolar_lines(rng):
     assert wrong.cost == pytest.approx(right.cost, abs=0.02)
     assert wrong.t_cur_from_prev @ T < 0.9
     for fit, least, most in ((right, 0.0, 0.02), (wrong, planar_ambiguity.MANY_BEHIND, 0.5)):
-        share = block_observations.behind(pair, fit.R_cur_from_prev, fit.t_cur_from_prev)
-        assert least <= share <= most
+        assert least <= fit.behind <= most
+        assert fit.behind == block_observations.behind(pair, fit.R_cur_from_prev,
+                                                       fit.t_cur_from_prev)
 
 
 def test_the_motion_that_leaves_the_plane_before_the_camera_is_taken(rng):
@@ -79,8 +80,9 @@ def test_blocks_behind_the_camera_are_not_explained(rng):
 def test_the_sign_of_a_direction_follows_from_what_is_before_the_camera(rng):
     pair = floor(rng)
     right, *_ = fits(pair)
-    turned = replace(right, t_cur_from_prev=-right.t_cur_from_prev)
-    assert planar_ambiguity.likeliest(pair, turned, []).t_cur_from_prev @ right.t_cur_from_prev > 0
+    turned = refined_from(pair, right.R_cur_from_prev, -right.t_cur_from_prev)
+    assert turned.t_cur_from_prev @ right.t_cur_from_prev > 0
+    assert turned.t_cur_from_prev @ T > 0
 
 
 def test_a_motion_that_explains_far_less_is_no_twin(rng, monkeypatch):

@@ -3,8 +3,8 @@
 from contextlib import contextmanager
 import time
 
+from mv_slapse.nodes.supervision import SupervisedExecutor
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
@@ -18,12 +18,17 @@ class Bench:
 
     def __init__(self):
         self.peer = rclpy.create_node('peer')
-        self._executor = SingleThreadedExecutor()
+        self.escaped = []  # (what it came from, exception) of what no border held
+        self._executor = SupervisedExecutor(lambda *what: self.escaped.append(what))
         self._executor.add_node(self.peer)
         self._nodes = []
 
     def start(self, node_type, **parameters):
-        """Return a new node with these parameters (``a__b`` is the parameter ``a.b``)."""
+        """Return a new node with these parameters (``a__b`` is the parameter ``a.b``).
+
+        It may fall behind as far as it will, unless told otherwise: the machine may be busy.
+        """
+        parameters = {'max_latency': 3600.0, **parameters}
         overrides = [Parameter(name.replace('__', '.'), value=value)
                      for name, value in parameters.items()]
         node = node_type(parameter_overrides=overrides)
@@ -59,6 +64,8 @@ class Bench:
         return future.result()
 
     def close(self):
+        for what, error in self.escaped:
+            raise AssertionError(f'{what} raised') from error
         for node in [*self._nodes, self.peer]:
             self._executor.remove_node(node)
             node.destroy_node()
@@ -75,6 +82,16 @@ def bench():
     finally:
         made.close()
         rclpy.shutdown()
+
+
+def held_up(node, seconds):
+    """Let what comes to a node from now on look as if it had waited so long [s]."""
+    node.latency.waited = lambda came=None: seconds
+
+
+def value_of(node, name) -> str:
+    """Return a value beside the message of /diagnostics, empty where there is none."""
+    return {item.key: item.value for item in node.health.status().values}.get(name, '')
 
 
 def messages_of(node) -> str:

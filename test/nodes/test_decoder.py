@@ -16,7 +16,7 @@ from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse.video_messages import packet_to_fields  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences  # noqa: E402
 from nodes import clips  # noqa: E402
-from nodes.bench import BEST_EFFORT, LATCHED, messages_of  # noqa: E402
+from nodes.bench import BEST_EFFORT, held_up, LATCHED, messages_of, value_of  # noqa: E402
 import numpy as np  # noqa: E402
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
@@ -135,16 +135,36 @@ def test_packets_wait_for_a_late_camera_info(bench):
     assert_arrived(received, expected)
 
 
-def test_a_message_that_waits_is_reported_as_late(bench):
-    message_type, messages = ffmpeg_messages(clips.packets('h264', START))
-    node = bench.start(DecoderNode)
+def test_packets_that_have_waited_too_long_are_dropped_up_to_a_key_picture(bench):
+    packets = clips.packets('mpeg2video', START)
+    message_type, messages = ffmpeg_messages(packets)
+    received = bench.listen(Correspondences, 'correspondences')
+    node = bench.start(DecoderNode, max_latency=60.0)
     publish_camera(bench)
     publisher = bench.advertise(message_type, 'video')
-    publisher.publish(messages[0])
-    time.sleep(1.2)
-    assert bench.spin(lambda: 's behind on video' in messages_of(node))
-    publisher.publish(messages[1])
-    assert bench.spin(lambda: 's behind on video' not in messages_of(node))
+    key = [packet.is_key for packet in packets].index(True, 1)
+    early = len(expected_records(packets[:6]))
+    assert early
+    for msg in messages[:6]:
+        publisher.publish(msg)
+    assert bench.spin(lambda: len(received) == early)
+    held_up(node, 100.0)
+    for msg in messages[6:key]:
+        publisher.publish(msg)
+    assert bench.spin(lambda: 's behind: fed faster than it can work' in messages_of(node))
+    bench.spin(lambda: False, 0.2)
+    assert len(received) == early
+    held_up(node, 0.0)
+    for msg in messages[key:]:
+        publisher.publish(msg)
+    later = expected_records(packets[key:])
+    assert bench.spin(lambda: len(received) == early + 1 + len(later))
+    gap = received[early]
+    assert (gap.kind, gap.reason) == (Correspondences.BROKEN, 'overload')
+    assert gap.previous_stamp == received[early - 1].header.stamp
+    assert gap.header.stamp == received[early + 1].previous_stamp
+    assert_arrived(received[early + 1:], later)
+    assert value_of(node, 'packets dropped by overload') == str(key - 6)
 
 
 def test_silence_is_reported_with_the_topic_and_what_to_do(bench):

@@ -63,10 +63,11 @@ def test_use_sim_time_can_be_refused_for_a_bag():
 
 
 def test_all_in_one_is_a_single_node_with_everything():
-    nodes = resolve(all_in_one='true', input='/video', respawn='true', namespace='robot')
+    nodes = resolve(all_in_one='true', input='/video', namespace='robot')
     assert list(nodes) == ['all_in_one']
     node = nodes['all_in_one']
     assert node.respawn
+    assert not resolve(respawn='false')['slam'].respawn
     assert node.namespace == 'robot'
     assert node.remappings == {'video': '/video', 'camera_info': '/camera_info'}
 

@@ -49,11 +49,18 @@ def test_given_values_reach_the_settings(bench):
     ('gain', 2.5, r'part\.gain, \[m\] a length.*Min: 0\.5, Max: 2\.0, value: 2\.5'),
     ('number', 0, r'part\.number, .*Min: 1'),
     ('gain', 'much', r'part\.gain has the wrong type.*float such as 1\.5'),
-    ('gain', 1, r'part\.gain has the wrong type'),
     ('pose', 'here', r'part\.pose has the wrong type')])
 def test_a_bad_value_is_refused_with_its_name_and_the_bounds(bench, name, value, said):
     with pytest.raises(UsageError, match=said):
         declare(bench, **{name: value})
+
+
+def test_an_integer_is_a_float_as_well(bench):
+    node = declare(bench, gain=1)
+    assert node.made == Made(gain=1.0)
+    assert node.get_parameter('part.gain').value == 1.0
+    with pytest.raises(UsageError, match=r'part\.gain.*Max: 2\.0'):
+        declare(bench, gain=3)
 
 
 def test_every_node_declares_each_name_once():

@@ -68,11 +68,12 @@ def test_a_node_ends_cleanly_on_sigterm(bench):
 
 def test_the_executor_ends_before_what_it_waits_on(ros_domain):
     program = ('from mv_slapse.nodes import shell\n'
-               'class Told(shell.SingleThreadedExecutor):\n'
+               'class Told(shell.SupervisedExecutor):\n'
                '    def shutdown(self): print("executor", flush=True); super().shutdown()\n'
                'class Node(shell.Node):\n'
                '    def destroy_node(self): print("node", flush=True); super().destroy_node()\n'
-               'shell.SingleThreadedExecutor = Told\n'
+               '    def escaped(self, *_): pass\n'
+               'shell.SupervisedExecutor = Told\n'
                'print("started", flush=True)\n'
                'shell.run(lambda: Node("ends"))\n')
     code, said = told_to_end(program, signal.SIGTERM)
@@ -85,6 +86,7 @@ def test_a_node_whose_end_hangs_is_ended_with_code_1_and_tells_where(ros_domain)
                'shell.END_TIME = 0.5\n'
                'class Stuck(shell.Node):\n'
                '    def destroy_node(self): time.sleep(60)\n'
+               '    def escaped(self, *_): pass\n'
                'print("started", flush=True)\n'
                'shell.run(lambda: Stuck("stuck"))\n')
     code, said = told_to_end(program, signal.SIGINT)
@@ -99,6 +101,16 @@ def test_a_parameter_out_of_bounds_ends_the_node_with_code_2_and_its_bounds(ros_
     assert 'scene.camera_height' in said
     assert 'Min: 0.0' in said
     assert 'Traceback' not in said
+
+
+def test_an_unknown_parameter_is_warned_about_with_the_nearest_name(bench):
+    process = start('slam', '-p', 'scene.camera_hight:=1.2', '-p', 'source:=elsewhere')
+    assert bench.spin(lambda: 'slam' in names_of(bench.peer), 30)
+    process.send_signal(signal.SIGINT)
+    said, _ = process.communicate(timeout=20)
+    assert ('parameter scene.camera_hight is unknown and not used: did you mean '
+            'scene.camera_height?') in said
+    assert 'source' not in said  # a parameter of the decoder, from a file that they share
 
 
 def test_what_the_launch_file_starts_runs(bench, tmp_path):

@@ -12,6 +12,7 @@ from mv_slapse import fields  # noqa: E402
 from mv_slapse.config import SceneSettings  # noqa: E402
 from mv_slapse.geometry.ros_frames import R_BODY_FROM_OPTICAL, RosFrames  # noqa: E402
 from mv_slapse.nodes.conversions import stamp_to_msg, to_message  # noqa: E402
+from mv_slapse.nodes.placement import Placement  # noqa: E402
 from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
 from mv_slapse.nodes.shell import Shell  # noqa: E402
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
@@ -33,7 +34,10 @@ PARAMETERS = {'scene__camera_height': drives.HEIGHT, 'tf_wait': 0.0}
 class Output(Shell):
     def __init__(self, **kwargs):
         super().__init__('slam', **kwargs)
-        self.output = SceneOutput(self)
+        self.output, self.placement = SceneOutput(self), Placement(self)
+
+    def publish(self, scene):
+        self.output.publish(scene, RosFrames(), self.placement)
 
 
 def feed(bench, n=N):
@@ -119,10 +123,22 @@ def test_trajectory_and_map_are_saved_where_the_parameter_says(bench, tmp_path):
 
 def test_a_folder_that_cannot_be_written_is_said(bench, tmp_path):
     (tmp_path / 'file').write_text('')
+    odometry = bench.listen(Odometry, 'odometry')
     bench.start(SlamNode, output_directory=str(tmp_path / 'file'), **PARAMETERS)
+    feed(bench)
+    assert bench.spin(lambda: len(odometry) == N, 30)
     response = bench.call(Trigger, '/slam/save_map')
     assert not response.success
     assert 'output_directory' in response.message
+
+
+def test_nothing_to_save_is_said_and_no_file_is_left(bench, tmp_path):
+    bench.start(SlamNode, output_directory=str(tmp_path / 'saved'), **PARAMETERS)
+    for service, missing in (('save_map', 'no plane'), ('save_trajectory', 'no pose')):
+        response = bench.call(Trigger, f'/slam/{service}')
+        assert not response.success
+        assert response.message.startswith('nothing to save: there is ' + missing)
+    assert not (tmp_path / 'saved').exists()
 
 
 def test_reset_begins_a_new_trajectory(bench):
@@ -152,7 +168,7 @@ def test_without_a_pose_only_the_map_goes_out_and_says_why(bench, status):
     assert bench.spin(lambda: bench.peer.count_publishers('/odometry'))
     bench.spin(lambda: False, 0.3)
     scene = made_up.scene(np.random.default_rng(0), status=status)
-    node.output.publish(scene, RosFrames())
+    node.publish(scene)
     assert bench.spin(lambda: maps)
     bench.spin(lambda: False, 0.2)
     assert odometry == []
@@ -251,13 +267,13 @@ def test_markers_of_planes_that_left_the_map_are_deleted(bench):
     arrays = bench.listen(MarkerArray, 'planes/map_markers', LATCHED)
     node = bench.start(Output)
     scene = made_up.scene(np.random.default_rng(0))
-    node.output.publish(scene, RosFrames())
+    node.publish(scene)
     assert bench.spin(lambda: len(arrays) == 1)
     shown = arrays[0].markers[0]
     assert (shown.ns, shown.id, shown.action) == ('planes', 7, Marker.ADD)
     assert len(shown.points) == 6  # an outline of four corners is two triangles
     other = MapPlane(**{**vars(scene.planes[0]), 'id': 8})
-    node.output.publish(type(scene)(**{**vars(scene), 'planes': (other,)}), RosFrames())
+    node.publish(replace(scene, planes=(other,)))
     assert bench.spin(lambda: len(arrays) == 2)
     assert [(m.id, m.action) for m in arrays[1].markers] == [(8, Marker.ADD), (7, Marker.DELETE)]
     assert all(m.pose.orientation.w == 1.0 for array in arrays for m in array.markers)

@@ -83,6 +83,16 @@ def test_noise_of_prediction_is_that_of_sampled_camera_speeds(rng):
                                atol=0.1 * np.abs(Q[:6, :6]).max())
 
 
+def test_the_slope_of_a_surface_walks_at_random(rng):
+    """Its variance grows with the time, not with the square of it."""
+    mu, zero = random_state(rng), np.zeros((3, 3))
+    step = om.CameraStep(np.eye(3), np.zeros(3), 0.1, np.zeros(3), zero)
+    noise = [om.predict(mu, step._replace(dt=dt), np.zeros(3), zero, 0.0)[2][om.SLOPE, om.SLOPE]
+             for dt in (0.1, 0.2)]
+    np.testing.assert_allclose(noise[0], om.SLOPE_NOISE**2 * 0.1 * np.eye(2), atol=1e-9)
+    np.testing.assert_allclose(noise[1], 2 * noise[0], atol=1e-9)
+
+
 def test_acceleration_adds_the_same_in_two_steps_as_in_one():
     one = om._motion_noise(0.2, 2.0, np.zeros((3, 3)), np.zeros((3, 3)))
     half = om._motion_noise(0.1, 2.0, np.zeros((3, 3)), np.zeros((3, 3)))

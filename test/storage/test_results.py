@@ -1,5 +1,8 @@
 from dataclasses import replace
 import json
+import os
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import made_up
@@ -163,12 +166,44 @@ def test_an_interrupted_run_leaves_valid_files(tmp_path, steps):
 def test_rows_are_on_disk_before_the_run_ends(tmp_path, steps):
     writer = ResultsWriter(tmp_path)
     writer.write(steps[1])
-    assert len(read_trajectory(tmp_path / 'trajectory.tum')) == 2
-    assert len(read_table(tmp_path / 'obstacles.csv', OBSTACLES_HEADER)['id']) == 1
+    assert len(read_trajectory(tmp_path / 'trajectory.tum.part')) == 2
+    assert len(read_table(tmp_path / 'obstacles.csv.part', OBSTACLES_HEADER)['id']) == 1
     writer.close()
+    assert not list(tmp_path.glob('*.part'))
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / 'file').touch()
     with pytest.raises(UsageError, match='file/out cannot be written.*-o'):
         ResultsWriter(tmp_path / 'file' / 'out')
+
+
+@pytest.mark.parametrize('limit', [300, 3_000, 20_000])
+def test_a_full_disk_is_told_with_what_there_is(tmp_path, limit):
+    """A limit on the size of files stands for the disk: writing fails elsewhere each time."""
+    code = f'''
+import resource, signal, sys
+import numpy as np
+from mv_slapse.errors import UnusableOutput
+from mv_slapse.storage.results import ResultsWriter
+from storage.test_results import made_up_step
+rng = np.random.default_rng(0)
+steps = [made_up_step(rng, k) for k in range(40)]
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+writer = ResultsWriter({str(tmp_path / 'out')!r})
+resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
+try:
+    with writer:
+        for step in steps:
+            writer.write(step)
+except UnusableOutput as error:
+    print(error)
+    sys.exit(error.exit_code)
+'''
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                          env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
+    assert done.returncode == 3, done.stderr
+    assert 'cannot be written: File too large' in done.stdout
+    left = {path.name for path in (tmp_path / 'out').iterdir() if path.is_file()}
+    named = done.stdout.partition('are whole: ')[2].partition(';')[0].split(', ')
+    assert {*named} - {'none'} == {name for name in left if not name.endswith('.part')}

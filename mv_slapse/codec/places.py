@@ -1,0 +1,233 @@
+"""The places of pictures in the order of showing, as the counters of a stream tell them.
+
+ITU-T H.264 8.2.1 (picture order count), ISO/IEC 13818-2 6.3.8 and 6.3.9 (time_code,
+temporal_reference), ISO/IEC 14496-2 6.3.5 (modulo_time_base, vop_time_increment).
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from mv_slapse.codec.bitstream import BitReader, Headers, SliceHeader
+
+PICTURE, SEQUENCE, GROUP = b'\x00\x00\x01\x00', b'\x00\x00\x01\xb3', b'\x00\x00\x01\xb8'
+VOP, GOV = b'\x00\x00\x01\xb6', b'\x00\x00\x01\xb3'
+FRAME_RATES = (0, 24, 24, 25, 30, 30, 50, 60, 60)  # [1/s] that time codes count with
+B_PICTURE, B_VOP = 3, 2
+TURN = 1024  # values of temporal_reference
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a picture is shown.
+
+    Attributes
+    ----------
+    sequence : int
+        Counts are compared within one only; the next one that is shown has the next number.
+    count : int or None
+        Grows by the same step from picture to picture; None where nothing in the stream counts.
+    index : int or None
+        The same across sequences, where the stream's time codes are to be trusted.
+    time : int or None
+        The picture's time by the stream's own clock, in ticks of it.
+    turn : int
+        Where the count turns over to zero; 0 where it is not known.
+    reason : str
+        Why pictures before this one, in the order of decoding, are missing; else empty.
+    references : int or None
+        Most pictures in a list of references, as the picture's own header tells it.
+    """
+
+    sequence: int = 0
+    count: int | None = None
+    index: int | None = None
+    time: int | None = None
+    turn: int = 0
+    reason: str = ''
+    references: int | None = None
+
+
+class Places(Protocol):
+    """Reads the place of each packet, in the order of decoding."""
+
+    def read(self, data: bytes) -> Place:
+        """Return the place of a packet's picture."""
+
+
+def places_of(codec: str, headers: Headers, extradata: bytes) -> Places:
+    """Return what reads the places of a codec's pictures."""
+    if codec == 'h264':
+        return OrderCount(headers)
+    if codec == 'mpeg4':
+        return VopTime(extradata)
+    return GroupPlaces() if codec in ('mpeg1video', 'mpeg2video') else NoPlaces()
+
+
+class NoPlaces:
+    """Of codecs whose headers are not read here."""
+
+    def read(self, data: bytes) -> Place:
+        """Return a place that tells nothing."""
+        return Place()
+
+
+class OrderCount:
+    """H.264: picture order count, and frame_num where showing follows decoding."""
+
+    def __init__(self, headers: Headers):
+        """Share the parameter sets with the decoder."""
+        self._headers = headers
+        self._sequence = self._count = self._msb = self._lsb = 0
+
+    def read(self, data: bytes) -> Place:
+        """Return the place of a packet's picture."""
+        header = self._headers.read_slice(data)
+        missing = self._headers.missing(header)
+        if header is None:
+            return Place(self._sequence)
+        if header.is_idr:
+            self._sequence, self._count = self._sequence + 1, -1
+        reason = 'a reference picture was lost (gap in frame_num)' if missing else ''
+        sps = self._headers.sps
+        turn = 1 << (sps.log2_max_frame_num if sps.order_type else sps.order_bits)
+        return Place(self._sequence, self._next(header, missing), turn=turn, reason=reason,
+                     references=header.references)
+
+    def _next(self, header: SliceHeader, missing: int) -> int | None:
+        kind = self._headers.sps.order_type
+        if kind == 0:
+            return self._order(header, 1 << self._headers.sps.order_bits)
+        self._count += 1 + missing
+        return self._count if kind == 2 and not self._headers.sps.gaps_allowed else None
+
+    def _order(self, header: SliceHeader, modulus: int) -> int:
+        """Return the order of a picture, H.264 (8-3)."""
+        if header.is_idr:
+            self._msb = self._lsb = 0
+        ahead = header.order - self._lsb
+        turns = (ahead <= -modulus // 2) - (ahead > modulus // 2)
+        msb = self._msb + turns * modulus
+        if header.is_reference:
+            self._msb, self._lsb = msb, header.order
+        return msb + header.order
+
+
+class GroupPlaces:
+    """MPEG-1 and MPEG-2: the place in a group of pictures, and the group's time code."""
+
+    def __init__(self):
+        """Trust no time code yet: some encoders write the same one for ever."""
+        self._rate = self._group = self._pictures = self._begin = self._trust = 0
+        self._turns = 0
+
+    def read(self, data: bytes) -> Place:
+        """Return the place of a packet's picture; temporal_reference counts as shown."""
+        at = data.find(PICTURE)
+        if at < 0 or len(data) < at + 6:
+            return Place(self._group)
+        self._read_rate(data[:at])
+        group = data.find(GROUP, 0, at)
+        if group >= 0:
+            self._enter(data[group + 4:group + 8])
+        count = self._turns + (data[at + 4] << 2 | data[at + 5] >> 6)
+        if count < self._pictures - TURN // 2:
+            self._turns, count = self._turns + TURN, count + TURN
+        self._pictures = max(self._pictures, count + 1)
+        index = self._begin + count if self._trust > 0 else None
+        return Place(self._group, count, index, turn=TURN)
+
+    def _read_rate(self, head: bytes):
+        at = head.find(SEQUENCE)
+        if at >= 0 and len(head) >= at + 8:
+            code = head[at + 7] & 15
+            self._rate = FRAME_RATES[code] if code < len(FRAME_RATES) else 0
+
+    def _enter(self, code: bytes):
+        """Begin a group; its time code is trusted if those before were right more than wrong."""
+        bits = _plain(code.ljust(4, b'\x00'))
+        dropping, seconds, pictures = bits.bits(1), _seconds(bits), bits.bits(6)
+        begin = seconds * self._rate + pictures
+        right = begin - self._begin == self._pictures and not dropping
+        if self._group:
+            self._trust = min(max(self._trust + (1 if right else -1), -2), 8)
+        self._group, self._begin, self._pictures = self._group + 1, begin, 0
+        self._turns = 0
+
+
+class VopTime:
+    """MPEG-4 part 2: the time of a picture by modulo_time_base and vop_time_increment."""
+
+    def __init__(self, extradata: bytes):
+        """Take the clock's resolution from the parameter sets, if they are apart."""
+        self._resolution = self._base = self._last_base = 0
+        self._read_resolution(extradata)
+
+    def read(self, data: bytes) -> Place:
+        """Return the place of a packet's picture, which has a time and no count."""
+        at = data.find(VOP)
+        self._read_resolution(data if at < 0 else data[:at])
+        try:
+            return Place(time=self._time(data, at) if at >= 0 and self._resolution else None)
+        except EOFError:
+            return Place()
+
+    def _time(self, data: bytes, at: int) -> int:
+        gov = data.find(GOV, 0, at)
+        if gov >= 0:
+            self._base = _seconds(_plain(data[gov + 4:gov + 8]))
+        bits = _plain(data[at + 4:at + 20])
+        is_b, seconds = bits.bits(2) == B_VOP, 0
+        while bits.bits(1):
+            seconds += 1
+        bits.bits(1)
+        if not is_b:
+            self._last_base, self._base = self._base, self._base + seconds
+        base = self._last_base + seconds if is_b else self._base
+        return base * self._resolution + bits.bits(max((self._resolution - 1).bit_length(), 1))
+
+    def _read_resolution(self, head: bytes):
+        for code in range(0x20, 0x30):  # video_object_layer_start_code
+            at = head.find(bytes([0, 0, 1, code]))
+            if at >= 0:
+                try:
+                    self._resolution = _resolution(_plain(head[at + 4:at + 80]))
+                except EOFError:
+                    self._resolution = 0
+
+
+def _seconds(bits: BitReader) -> int:
+    """Return hours, minutes, a marker and seconds as seconds."""
+    minutes = 60 * bits.bits(5) + bits.bits(6)
+    bits.bits(1)
+    return 60 * minutes + bits.bits(6)
+
+
+def _resolution(bits: BitReader) -> int:
+    """Return vop_time_increment_resolution of a video object layer, ISO/IEC 14496-2 6.2.3."""
+    bits.bits(9)
+    if bits.bits(1):
+        bits.bits(7)
+    if bits.bits(4) == 15:  # extended_PAR
+        bits.bits(16)
+    if bits.bits(1):  # vol_control_parameters
+        bits.bits(3)
+        if bits.bits(1):
+            bits.bits(79)  # vbv_parameters
+    if bits.bits(2) == 3:
+        return 0  # grey shapes: no encoder writes them
+    bits.bits(1)
+    return bits.bits(16)
+
+
+def is_b_picture(data: bytes) -> bool:
+    """Return whether an MPEG-1, MPEG-2 or MPEG-4 packet holds a B picture (its coding type)."""
+    at = data.find(PICTURE)
+    if at >= 0 and len(data) > at + 5:
+        return data[at + 5] >> 3 & 7 == B_PICTURE
+    at = data.find(VOP)
+    return at >= 0 and len(data) > at + 4 and data[at + 4] >> 6 == B_VOP
+
+
+def _plain(data: bytes) -> BitReader:
+    """Return the bits of an MPEG header, which knows no emulation prevention."""
+    return BitReader(data, is_escaped=False)

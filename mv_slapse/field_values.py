@@ -1,0 +1,101 @@
+"""Values inside messages: stamps, columns, points; the parts of ``mv_slapse.fields``."""
+
+from typing import Any
+
+from mv_slapse import message_checks as check
+from mv_slapse.geometry.quaternion import from_matrix
+from mv_slapse.records import Correspondences, Extraction, Label, SegmentKind
+import numpy as np
+
+Fields = dict[str, Any]
+POINTS = ('x_cur', 'y_cur', 'x_prev', 'y_prev', 'sigma', 'block_width', 'block_height')
+SIGMAS = 1e-4, 1e4  # [px] of a vector
+
+
+def stamp_to_fields(stamp: int) -> Fields:
+    """Return builtin_interfaces/Time of a stamp [ns]."""
+    sec, nanosec = divmod(int(stamp), 1_000_000_000)
+    return {'sec': sec, 'nanosec': nanosec}
+
+
+def stamp_from_message(time: Any) -> int:
+    """Return the stamp [ns] of a builtin_interfaces/Time."""
+    return check.stamp(time)
+
+
+def header(stamp: int, frame_id: str) -> Fields:
+    """Return a std_msgs/Header."""
+    return {'stamp': stamp_to_fields(stamp), 'frame_id': frame_id}
+
+
+def point_columns(record: Correspondences | Extraction) -> Fields:
+    """Return the columns of blocks that both messages of a pair have."""
+    columns = {'x_cur': record.x_cur[:, 0], 'y_cur': record.x_cur[:, 1],
+               'x_prev': record.x_prev[:, 0], 'y_prev': record.x_prev[:, 1],
+               'sigma': record.sigma}
+    return {**{name: column(values, np.float32) for name, values in columns.items()},
+            'block_width': column(record.block[:, 0], np.uint8),
+            'block_height': column(record.block[:, 1], np.uint8)}
+
+
+def pair_of(msg: Any) -> Fields:
+    """Return what both messages of a pair begin with."""
+    width, height = check.size(msg.width, msg.height)
+    kind = check.member(SegmentKind, msg.kind, 'kind')
+    stamp, previous = check.interval(msg.previous_stamp, msg.header.stamp, kind)
+    return {'stamp': stamp, 'previous_stamp': previous, 'width': width, 'height': height,
+            'kind': kind, 'reason': msg.reason}
+
+
+def points_of(msg: Any) -> Fields:
+    """Return the columns that the message says to have one length."""
+    x, y = max(msg.width, 1) + check.FAR_OUT, max(msg.height, 1) + check.FAR_OUT
+    columns = {name: check.within(column(getattr(msg, name), np.float32), name, -check.FAR_OUT,
+                                  x if name[0] == 'x' else y) for name in POINTS[:4]}
+    sigma = check.within(column(msg.sigma, np.float32), 'sigma', *SIGMAS)
+    block = [column(getattr(msg, name), np.uint8) for name in POINTS[5:]]
+    return {'x_cur': np.stack([columns['x_cur'], columns['y_cur']], axis=1),
+            'x_prev': np.stack([columns['x_prev'], columns['y_prev']], axis=1),
+            'sigma': sigma, 'block': np.stack(block, axis=1)}
+
+
+def labels(msg: Any, name: str) -> np.ndarray:
+    """Return a column of labels as int8."""
+    return check.within(column(getattr(msg, name), np.int8), name, min(Label), max(Label))
+
+
+def column(values: Any, dtype: type) -> np.ndarray:
+    """Return a contiguous array."""
+    return np.ascontiguousarray(values, dtype)
+
+
+def flat(values: Any) -> np.ndarray:
+    """Return numbers as a float64 array of one dimension."""
+    return np.array(values, float).ravel()
+
+
+def named_xyz(v: np.ndarray) -> Fields:
+    """Return geometry_msgs/Point or Vector3 of three numbers."""
+    return {'x': float(v[0]), 'y': float(v[1]), 'z': float(v[2])}
+
+
+def read_xyz(msg: Any, field: str, bound: float = check.FARTHEST) -> np.ndarray:
+    """Return the three numbers (3,) of a geometry_msgs/Point or Vector3."""
+    return check.numbers([msg.x, msg.y, msg.z], field, (3,), bound)
+
+
+def points(X: np.ndarray) -> list[Fields]:
+    """Return a geometry_msgs/Point for each row of (N, 3)."""
+    return [named_xyz(point) for point in np.reshape(X, (-1, 3))]
+
+
+def read_points(messages: Any) -> np.ndarray:
+    """Return the corners (N, 3) of an outline of geometry_msgs/Point."""
+    rows = [[p.x, p.y, p.z] for p in check.count(messages, 'outline')]
+    return check.numbers(rows, 'outline', (len(rows), 3), check.FARTHEST)
+
+
+def quaternion(R: np.ndarray) -> Fields:
+    """Return geometry_msgs/Quaternion of a rotation matrix."""
+    x, y, z, w = from_matrix(R)
+    return {'x': float(x), 'y': float(y), 'z': float(z), 'w': float(w)}

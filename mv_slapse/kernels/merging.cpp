@@ -1,0 +1,270 @@
+// A segment's evidence to one vector for each macroblock, [SLAPSE] V-A, and what it lets expect.
+
+#include <optional>
+
+#include "blocks.hpp"
+
+namespace kernels {
+namespace {
+
+constexpr int DEPTH = 8;            // pieces of evidence looked at for each macroblock
+constexpr float OWN_SHARE = 0.25f;  // of a macroblock, how far evidence inside one lies apart
+constexpr float LEAST = 1e-9f;      // in place of a weight of zero as a divisor
+constexpr double STANDING = 0.5;    // share of moved vectors below which the camera may stand
+constexpr float SLOW = 2;           // px, motion of most below which a far point may have none
+constexpr float TYPICAL_VOTES = 5;  // at which a vector is as good as the stream's sigma says
+constexpr float VOTES_PER_HALF = 3; // votes that halve the standard deviation
+
+struct Evidence {
+  In<float> x, vector, variance;
+  In<std::uint8_t> block;
+
+  Evidence(const char* kernel, const py::tuple& columns)
+      : x(kernel, "x", column(kernel, columns), {ANY, 2}, Check::finite),
+        vector(kernel, "vector", columns[1], {x.size(), 2}, Check::finite),
+        variance(kernel, "variance", columns[2], {x.size()}, Check::finite),
+        block(kernel, "block", columns[3], {x.size(), 2}) {}
+
+  static py::object column(const char* kernel, const py::tuple& columns) {
+    require(columns.size() == 4, kernel, "evidence has four columns");
+    return columns[0];
+  }
+  py::ssize_t size() const { return x.size(); }
+  float area(py::ssize_t i) const { return float(block(i, 0)) * float(block(i, 1)); }
+};
+
+// How far vectors may differ [px] that a share of a macroblock sets apart.
+struct Agreement {
+  float slack, tolerance;
+  float reach(Vec2 vector) const { return slack + tolerance * length(vector); }
+};
+
+struct Cluster {  // weighted mean of the evidence of a macroblock that agrees with its heaviest
+  Vec2 x{}, vector{ABSENT, ABSENT};
+  float variance = 0, mass = 0, company = 0;
+  bool present() const { return mass > 0; }
+};
+
+struct Piece {  // of evidence in a macroblock; weight 0: taken by the cluster before
+  Vec2 x, vector;
+  float weight, variance;
+};
+
+// Makes a cluster of what is left of the evidence of a macroblock, and takes it out.
+Cluster clustered(Piece* pieces, int n, Agreement within) {
+  Cluster out;
+  int lead = -1;
+  float reach = 0;
+  for (int i = 0; i < n; ++i) {
+    if (!(pieces[i].weight > 0)) continue;
+    const float own = n > 1 ? within.reach(pieces[i].vector) : 1;
+    double mass = 0;
+    for (int j = 0; j < n; ++j)
+      if (square(pieces[i].vector - pieces[j].vector) < own * own) mass += pieces[j].weight;
+    if (static_cast<float>(mass) > out.mass) {
+      out.mass = static_cast<float>(mass);
+      lead = i;
+      reach = own;
+    }
+  }
+  if (lead < 0) return out;
+  const Vec2 leading = pieces[lead].vector;
+  const float heaviest = std::max(pieces[lead].weight, LEAST);
+  double sum[4] = {}, whole = 0, variance = 0;
+  for (int j = 0; j < n; ++j) {
+    Piece& piece = pieces[j];
+    const double weight = piece.weight;
+    if (!(weight > 0) || !(square(leading - piece.vector) < reach * reach)) continue;
+    sum[0] += weight * piece.x.x;
+    sum[1] += weight * piece.x.y;
+    sum[2] += weight * piece.vector.x;
+    sum[3] += weight * piece.vector.y;
+    variance += weight * weight * piece.variance;
+    whole += weight;
+    piece.weight = 0;
+  }
+  const float divisor = std::max(static_cast<float>(whole), LEAST);
+  out.x = {static_cast<float>(sum[0]) / divisor, static_cast<float>(sum[1]) / divisor};
+  out.vector = {static_cast<float>(sum[2]) / divisor, static_cast<float>(sum[3]) / divisor};
+  out.variance = static_cast<float>(variance) / (divisor * divisor);
+  out.company = divisor / heaviest - 1;
+  return out;
+}
+
+// Whether zero vectors are skipped macroblocks rather than measured motion: an encoder short of
+// bits skips some, which side by side look like a still picture. Where the camera stands most
+// vectors are zero, where it moves slowly all are short.
+bool skips(const Evidence& e) {
+  py::ssize_t moved = 0, fast = 0;
+  for (py::ssize_t i = 0; i < e.size(); ++i) {
+    const Vec2 vector = at(e.vector, i);
+    moved += !is_zero(vector);
+    fast += square(vector) > SLOW * SLOW;
+  }
+  return moved > STANDING * e.size() && 2 * fast > moved;
+}
+
+// The grid of macroblocks with a border in which there is nothing.
+struct Grid {
+  int columns, rows;
+  std::vector<Cluster> cluster[2];
+  std::vector<Vec2> voter[2];
+
+  Grid(int width, int height)
+      : columns(macroblocks(width) + 2), rows(macroblocks(height) + 2) {
+    for (int k = 0; k < 2; ++k) {
+      cluster[k].resize(columns * rows);
+      voter[k].assign(columns * rows, {ABSENT, ABSENT});
+    }
+  }
+  int cell(Vec2 x) const {  // -1 outside the picture
+    const int column = macroblock_of(x.x) + 1, row = macroblock_of(x.y) + 1;
+    return column > 0 && column < columns - 1 && row > 0 && row < rows - 1 ? row * columns + column
+                                                                           : -1;
+  }
+  void fill(const Evidence& e, float heavy, Agreement within) {
+    std::vector<int> cells(e.size()), number(columns * rows, 0), first(columns * rows, 0);
+    for (py::ssize_t i = 0; i < e.size(); ++i)
+      if ((cells[i] = cell(at(e.x, i))) >= 0 && number[cells[i]]++ == DEPTH) {
+        number[cells[i]] = DEPTH;
+        cells[i] = -1;
+      }
+    for (int at = 1; at < columns * rows; ++at) first[at] = first[at - 1] + number[at - 1];
+    std::vector<Piece> pieces(e.size());
+    std::vector<int> next = first;
+    for (py::ssize_t i = 0; i < e.size(); ++i) {
+      if (cells[i] < 0) continue;
+      const float area = e.area(i) / (MACROBLOCK * MACROBLOCK);
+      pieces[next[cells[i]]++] = {at(e.x, i), at(e.vector, i),
+                                  (e.variance[i] < 2 ? heavy : 1) * area, e.variance[i] / area};
+    }
+    const bool skip = skips(e);
+    for (int cell = 0; cell < columns * rows; ++cell)
+      for (int k = 0; k < std::min(number[cell], 2); ++k) {
+        const Cluster& found = cluster[k][cell] =
+            clustered(pieces.data() + first[cell], number[cell], within);
+        if (found.present() && !(skip && is_zero(found.vector))) voter[k][cell] = found.vector;
+      }
+  }
+  // How many of the eight macroblocks around speak for the vector of one; each gives at most one
+  // vote, that of its vector which agrees best. What comes near grows from block to block: two on
+  // opposite sides then speak together for what lies half-way between theirs.
+  float votes(int cell, Vec2 centre, Agreement beside, bool grows) const {
+    const float reach = beside.reach(centre), scale = 1 / (reach * reach);
+    float total = 0;
+    for (const int side : {-columns - 1, -columns, -columns + 1, -1}) {
+      float gap[2];
+      for (int end = 0; end < 2; ++end) {
+        const int other = end ? cell - side : cell + side;
+        gap[end] = std::min(square(voter[0][other] - centre), square(voter[1][other] - centre));
+      }
+      float speak = std::max(1 - gap[0] * scale, 0.0f) + std::max(1 - gap[1] * scale, 0.0f);
+      if (grows) {
+        const Vec2 half = 0.5f * (voter[0][cell + side] + voter[0][cell - side]);
+        speak = std::max(speak, 2 * std::max(1 - square(half - centre) * scale, 0.0f));
+      }
+      total += speak;
+    }
+    return total;
+  }
+};
+
+struct Prior {
+  float votes, slack, tolerance;
+  // How much a vector expected by the pairs before speaks for one, in votes.
+  float support(Vec2 vector, Vec2 expected) const {
+    const float reach = slack + tolerance * length(expected);
+    return votes * std::max(1 - square(vector - expected) / (reach * reach), 0.0f);
+  }
+};
+
+// How much more (or less) the variance of a vector is than Lemma 2 says of a right one. Measured
+// against true epipolar lines (KITTI and a rendered garage, MPEG-2 and H.264), the standard
+// deviation halves for each three macroblocks around that agree, and falls with the fourth root
+// of the pieces of evidence that agree inside the macroblock, beyond what averaging explains.
+float doubt(float votes, float company) {
+  return static_cast<float>(power_of_two(2 * (TYPICAL_VOTES - votes) / VOTES_PER_HALF)) /
+         std::sqrt(1 + company);
+}
+
+py::tuple merge(const py::tuple& columns, int width, int height, const py::object& expected,
+                py::kwargs options) {
+  const char* name = "merge";
+  const Evidence e(name, columns);
+  require(width > 0 && height > 0, name, "the picture has no size");
+  const auto option = [&](const char* key) { return options[key].cast<double>(); };
+  const auto number = [&](const char* key) { return static_cast<float>(option(key)); };
+  const float slack = number("slack");
+  const Agreement within{slack, static_cast<float>(OWN_SHARE * option("tolerance"))};
+  const Agreement beside{slack, number("tolerance")};
+  const Prior prior{number("prior_votes"), number("prior_slack"), number("prior_tolerance")};
+  const float least = number("min_support");
+  const bool grows = options["grows"].cast<bool>();
+  Grid grid(width, height);
+  std::optional<In<float>> field;
+  if (!expected.is_none())
+    field.emplace(name, "field", expected,
+                  std::initializer_list<py::ssize_t>{grid.rows - 2, grid.columns - 2, 2},
+                  Check::finite);
+  grid.fill(e, number("direct_weight"), within);
+  std::vector<float> x, vector, variance;
+  std::vector<bool> lone;
+  for (int row = 1; row < grid.rows - 1; ++row)
+    for (int column = 1; column < grid.columns - 1; ++column) {
+      const int cell = row * grid.columns + column;
+      const Cluster* best = nullptr;
+      float support = 0, votes = 0;
+      for (const auto& clusters : grid.cluster) {
+        const Cluster& own = clusters[cell];
+        if (!own.present()) continue;
+        const float speak = grid.votes(cell, own.vector, beside, grows) + std::min(own.company, 1.0f);
+        const int inside = (row - 1) * (grid.columns - 2) + column - 1;
+        const float all = speak + (field ? prior.support(own.vector, at(*field, inside)) : 0.0f);
+        if (!best || all > support) {
+          best = &own;
+          support = all;
+          votes = speak;
+        }
+      }
+      if (!best || (support < least && is_zero(best->vector))) continue;
+      x.insert(x.end(), {best->x.x, best->x.y});
+      vector.insert(vector.end(), {best->vector.x, best->vector.y});
+      variance.push_back(best->variance * doubt(votes, best->company));
+      lone.push_back(support < least);
+    }
+  Out<bool> alone({static_cast<py::ssize_t>(lone.size())});
+  std::copy(lone.begin(), lone.end(), alone.data());
+  return py::make_tuple(array_of(x, 2), array_of(vector, 2), array_of(variance), alone.array());
+}
+
+// Share of the vectors, by their areas, that the supported ones of a merged pair bear out; of the
+// direct ones where there are any, else of the indirect ones; and whether there are direct ones.
+py::tuple borne_out(const py::tuple& columns, const py::tuple& pair, int width, int height,
+                    float slack, double tolerance) {
+  const Evidence e("borne_out", columns);
+  require(width > 0 && height > 0, "borne_out", "the picture has no size");
+  const auto field = field_of("borne_out", pair, macroblocks(width), macroblocks(height));
+  const Agreement within{slack, static_cast<float>(OWN_SHARE * tolerance)};
+  double right[2] = {}, all[2] = {};
+  bool direct = false;
+  for (py::ssize_t i = 0; i < e.size(); ++i) {
+    const bool is_direct = e.variance[i] < 2;
+    const Vec2 vector = at(e.vector, i);
+    const float reach = within.reach(vector);
+    const Vec2 merged = field[nearest_macroblock(at(e.x, i), macroblocks(width), macroblocks(height))];
+    all[is_direct] += e.area(i);
+    if (square(vector - merged) < reach * reach) right[is_direct] += e.area(i);
+    direct |= is_direct;
+  }
+  return py::make_tuple(static_cast<float>(right[direct]) / static_cast<float>(all[direct]), direct);
+}
+
+}  // namespace
+
+}  // namespace kernels
+
+void bind_merging(pybind11::module_& module) {
+  using namespace kernels;
+  module.def("merge", merge);
+  module.def("borne_out", borne_out);
+}

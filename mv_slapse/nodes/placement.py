@@ -1,0 +1,80 @@
+"""Where the trajectory lies in the odom frame: from its origin, a given pose, or the last one."""
+
+from dataclasses import replace
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from mv_slapse import fields
+from mv_slapse.geometry.ros_frames import Pose, pose_to_odom, RosFrames, skew
+from mv_slapse.message_checks import InvalidMessage
+from mv_slapse.nodes.qos import subscribe
+from mv_slapse.nodes.settings import FrameSettings
+from mv_slapse.nodes.shell import Shell
+from mv_slapse.records import SceneEstimate
+import numpy as np
+
+TOPIC = 'initialpose'
+ORIGIN = Pose(np.eye(3), np.zeros(3))
+
+
+class Placement:
+    """Keeps the pose in odom at which the trajectory of the filter begins.
+
+    A pose on ``initialpose`` is the base's pose now, as for robot_localization: the trajectory is
+    moved there, and how sure that pose is adds to how sure all later ones are.
+    """
+
+    def __init__(self, node: Shell):
+        """Listen to ``initialpose``."""
+        self._node = node
+        self.restart()
+        subscribe(node, PoseWithCovarianceStamped, TOPIC,
+                  node.guarded(TOPIC, PoseWithCovarianceStamped, self._on_pose, proves=True))
+
+    def restart(self):
+        """Begin at the origin of odom."""
+        self._start = self._anchor = ORIGIN
+        self._moved = ORIGIN  # of the base since the start, without the start
+
+    def go_on(self):
+        """Begin where the last pose was."""
+        self._start = self._anchor = self._last()
+        self._moved = ORIGIN
+
+    def place(self, frames: RosFrames) -> RosFrames:
+        """Return the frames with the start in them."""
+        return replace(frames, R_odom_from_start=self._start.R, t_odom_from_start=self._start.t)
+
+    def note(self, scene: SceneEstimate, frames: RosFrames):
+        """Take the pose of a key frame."""
+        self._moved = pose_to_odom(
+            Pose(scene.R_world_from_cam, scene.t_world_from_cam, scene.pose_covariance),
+            replace(frames, R_odom_from_start=np.eye(3), t_odom_from_start=np.zeros(3)))
+
+    def widened(self, covariance: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """Return the covariance (6, 6) of a pose with the anchor's own error in it."""
+        arm = np.eye(6)
+        arm[:3, 3:] = -skew(position - self._anchor.t)
+        return np.reshape(covariance, (6, 6)) + arm @ self._anchor.covariance @ arm.T
+
+    def set(self, pose: Pose):
+        """Move the trajectory so that the base is at a pose in odom now."""
+        R = pose.R @ self._moved.R.T
+        self._start = Pose(R, pose.t - R @ self._moved.t)
+        self._anchor = pose
+
+    def _last(self) -> Pose:
+        start, moved = self._start, self._moved
+        turned = np.kron(np.eye(2), start.R)
+        position = start.R @ moved.t + start.t
+        return Pose(start.R @ moved.R, position,
+                    self.widened(turned @ moved.covariance @ turned.T, position))
+
+    def _on_pose(self, msg: PoseWithCovarianceStamped):
+        odom = self._node.settings[FrameSettings].odom_frame
+        if msg.header.frame_id not in ('', odom):
+            raise InvalidMessage(f'header.frame_id = {msg.header.frame_id!r}: must be {odom!r}; '
+                                 'the pose is not used')
+        self.set(fields.pose_with_covariance_from_message(msg))
+        self._node.resets += 1
+        self._node.health.value('resets', self._node.resets)
+        self._node.get_logger().info(f'the pose is set to {self._anchor.t.round(3).tolist()}')

@@ -1,0 +1,78 @@
+from fractions import Fraction
+
+import av
+from mv_slapse.codec import places
+from mv_slapse.codec.bitstream import Headers
+from mv_slapse.codec.encoder import encode, Encoding, LOW_LATENCY
+import pictures
+import pytest
+
+
+def read(codec, packets):
+    reader = places.places_of(codec, Headers(), b'')
+    return [reader.read(packet.data) for packet in packets]
+
+
+def mpeg4(rng, b_frames, n=60, fps=25):
+    context = av.CodecContext.create('mpeg4', 'w')
+    context.width, context.height, context.pix_fmt = 128, 96, 'yuv420p'
+    context.time_base, context.gop_size = Fraction(1, fps), 12
+    context.max_b_frames = b_frames
+    coded = []
+    for i, image in enumerate(pictures.sliding(rng, n, (2, 1), (128, 96))):
+        picture = av.VideoFrame.from_ndarray(image, 'gray').reformat(format='yuv420p')
+        picture.pts = i
+        coded += context.encode(picture)
+    return coded + context.encode(None)
+
+
+def test_mpeg_pictures_are_counted_as_they_are_shown(rng):
+    packets = encode(pictures.sliding(rng, 16, (2, 1)), 30, Encoding('mpeg2video', 2, 6))
+    found = [(place.sequence, place.count) for place in read('mpeg2video', packets)]
+    assert found[:7] == [(1, 0), (1, 3), (1, 1), (1, 2), (2, 2), (2, 0), (2, 1)]
+    assert places.GroupPlaces().read(b'\x00\x00\x01\xb3 without a picture').count is None
+
+
+def test_time_codes_of_groups_number_the_pictures_once_they_have_been_right(rng):
+    packets = list(encode(pictures.sliding(rng, 40, (2, 1)), 25, Encoding('mpeg2video', 2, 6)))
+    found = read('mpeg2video', packets)
+    assert [place.index for place in found[:4]] == [None] * 4
+    for packet, place in zip(packets[6:], found[6:], strict=True):
+        assert place.index == round(packet.stamp / 40e6)
+
+
+def test_time_codes_that_stand_still_are_not_trusted(rng):
+    packets = list(encode(pictures.sliding(rng, 40, (2, 1)), 25, Encoding('mpeg2video', 0, 6)))
+    reader = places.GroupPlaces()
+    for packet in packets:
+        at = packet.data.find(places.GROUP)
+        data = packet.data if at < 0 else packet.data[:at + 4] + bytes(3) + packet.data[at + 7:]
+        assert reader.read(data).index is None
+
+
+@pytest.mark.parametrize('encoding', [LOW_LATENCY, Encoding('h264', 2, 12)])
+def test_the_order_of_h264_is_that_of_showing(rng, encoding):
+    packets = list(encode(pictures.sliding(rng, 70, (2, 1)), 25, encoding))
+    found = read('h264', packets)
+    first, step = {}, 2 if encoding.b_frames else 1
+    for packet, place in zip(packets, found, strict=True):
+        frame = round(packet.stamp / 40e6)
+        begin = first.setdefault(place.sequence, frame)
+        assert place.count == step * (frame - begin)
+
+
+@pytest.mark.parametrize('b_frames', [0, 2])
+def test_the_time_of_mpeg4_is_that_of_showing(rng, b_frames):
+    """Over two seconds: the base of the time moves on with pictures of either kind."""
+    reader = places.VopTime(b'')
+    for packet in mpeg4(rng, b_frames):
+        assert reader.read(bytes(packet)).time == packet.pts
+
+
+def test_headers_that_are_cut_tell_nothing_and_raise_nothing(rng):
+    for codec in ('h264', 'mpeg2video', 'mpeg4'):
+        reader = places.places_of(codec, Headers(), b'')
+        packet = bytes(mpeg4(rng, 0, 3)[0]) if codec == 'mpeg4' else next(
+            encode(pictures.sliding(rng, 2, (2, 1)), 25, Encoding(codec, 0, 12))).data
+        for size in range(0, 80):
+            reader.read(packet[:size])

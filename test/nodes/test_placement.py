@@ -1,0 +1,189 @@
+"""Where the trajectory lies: publish_tf, initialpose, ~/pause, ~/reset, the counter of resets."""
+
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mv_slapse_msgs')
+
+from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
+from mv_slapse import fields  # noqa: E402
+from mv_slapse.geometry.ros_frames import Pose, RosFrames  # noqa: E402
+from mv_slapse.nodes.conversions import to_message  # noqa: E402
+from mv_slapse.nodes.obstacle_tracker import ObstacleTrackerNode  # noqa: E402
+from mv_slapse.nodes.slam import SlamNode  # noqa: E402
+from mv_slapse_msgs.msg import PlaneMap, PlaneObservations  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
+from nodes import drives  # noqa: E402
+from nodes.bench import LATCHED, messages_of, value_of  # noqa: E402
+import numpy as np  # noqa: E402
+from scipy.spatial.transform import Rotation  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
+
+MAPS = LATCHED
+N = 6
+
+
+class Drive:
+    """A slam node that is fed with the key frames of a drive."""
+
+    def __init__(self, bench, **parameters):
+        self.bench = bench
+        self.odometry = bench.listen(Odometry, 'odometry')
+        self.maps = bench.listen(PlaneMap, 'planes/map', MAPS)
+        self.node = bench.start(SlamNode, tf_wait=0.0, scene__camera_height=drives.HEIGHT,
+                                **parameters)
+        self.publisher = bench.advertise(PlaneObservations, 'planes/observations')
+
+    def go(self, begin, end):
+        n = len(self.odometry) + end - begin
+        for step in drives.steps(N)[begin:end]:
+            self.publisher.publish(to_message(PlaneObservations, fields.extraction_to_fields(
+                step.extraction, RosFrames(camera='cam'))))
+        assert self.bench.spin(lambda: len(self.odometry) == n and len(self.maps) >= n, 20), n
+        return np.array([position(msg) for msg in self.odometry])
+
+
+def position(msg):
+    p = msg.pose.pose.position
+    return p.x, p.y, p.z
+
+
+def rotation(msg):
+    q = msg.pose.pose.orientation
+    return Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+
+
+def initial_pose(x, y, yaw, frame='odom', sigma=0.1):
+    msg = PoseWithCovarianceStamped()
+    msg.header.frame_id = frame
+    msg.pose.pose.position.x, msg.pose.pose.position.y = x, y
+    msg.pose.pose.orientation.z = float(np.sin(yaw / 2))
+    msg.pose.pose.orientation.w = float(np.cos(yaw / 2))
+    msg.pose.covariance[:] = np.diag(np.full(6, sigma**2)).ravel()
+    return msg
+
+
+def test_without_publish_tf_there_is_odometry_but_no_transform(bench):
+    tf2_msgs = pytest.importorskip('tf2_msgs.msg')
+    transforms = bench.listen(tf2_msgs.TFMessage, '/tf')
+    Drive(bench, publish_tf=False).go(0, 3)
+    bench.spin(lambda: False, 0.3)
+    assert transforms == []
+
+
+def test_pause_goes_on_from_the_last_pose_and_counts_a_reset(bench):
+    drive = Drive(bench)
+    before = drive.go(0, 3)
+    assert bench.call(SetBool, '/slam/pause', data=True).success
+    assert bench.call(SetBool, '/slam/pause', data=False).success
+    after = drive.go(4, 6)  # what came meanwhile was not used
+    way = np.linalg.norm(after[3] - before[2])
+    usual = np.linalg.norm(before[2] - before[1])
+    assert way == pytest.approx(usual, rel=0.2)
+    assert np.linalg.norm(after[4] - after[3]) == pytest.approx(usual, rel=0.2)
+    assert drive.maps[2].resets == 0
+    assert drive.maps[-1].resets == 1
+    assert value_of(drive.node, 'resets') == '1'
+    variances = [msg.pose.covariance[0] for msg in drive.odometry]
+    assert variances[3] > variances[2]
+
+
+def test_reset_begins_at_the_origin(bench):
+    drive = Drive(bench)
+    before = drive.go(0, 3)
+    assert bench.call(Trigger, '/slam/reset').success
+    after = drive.go(0, 3)
+    np.testing.assert_allclose(after[3:], before, atol=1e-9)
+    assert drive.maps[-1].resets == 1
+
+
+def expected():
+    """Return the poses of the base (3, 3), (3,) without any placement."""
+    from mv_slapse.geometry.ros_frames import pose_to_odom
+    return [pose_to_odom(Pose(step.scene.R_world_from_cam, step.scene.t_world_from_cam),
+                         RosFrames()) for step in drives.steps(N)]
+
+
+def test_a_pose_on_initialpose_is_the_pose_now(bench):
+    drive = Drive(bench)
+    drive.go(0, 3)
+    publisher = bench.advertise(PoseWithCovarianceStamped, 'initialpose')
+    publisher.publish(initial_pose(10.0, -5.0, np.pi / 2))
+    assert bench.spin(lambda: value_of(drive.node, 'resets') == '1')
+    after = drive.go(3, 5)
+    plain, turn = expected(), Rotation.from_euler('z', np.pi / 2).as_matrix()
+    for i in (3, 4):
+        moved = plain[2].R.T @ (plain[i].t - plain[2].t)
+        np.testing.assert_allclose(after[i], [10, -5, 0] + turn @ moved, atol=1e-6)
+        np.testing.assert_allclose(rotation(drive.odometry[i]),
+                                   turn @ plain[2].R.T @ plain[i].R, atol=1e-6)
+    assert drive.odometry[3].pose.covariance[0] > 0.1**2
+    # turning by 0.1 rad moves what is far
+    assert drive.odometry[4].pose.covariance[0] > drive.odometry[3].pose.covariance[0]
+    assert drive.maps[-1].resets == 1
+
+
+def test_the_map_moves_with_the_trajectory(bench):
+    drive = Drive(bench)
+    drive.go(0, 3)
+    publisher = bench.advertise(PoseWithCovarianceStamped, 'initialpose')
+    publisher.publish(initial_pose(0.0, 0.0, 0.0))
+    assert bench.spin(lambda: value_of(drive.node, 'resets') == '1')
+    drive.go(3, 4)
+    ground = next(plane for plane in drive.maps[-1].planes if plane.is_ground)
+    at = drive.odometry[3].pose.pose.position
+    normal = ground.normal
+    height = abs(normal.x * at.x + normal.y * at.y + normal.z * at.z + ground.depth)
+    assert height == pytest.approx(drives.HEIGHT, rel=0.05)
+
+
+def test_a_pose_before_the_first_key_frame_is_where_the_trajectory_begins(bench):
+    drive = Drive(bench)
+    publisher = bench.advertise(PoseWithCovarianceStamped, 'initialpose')
+    publisher.publish(initial_pose(100.0, 0.0, 0.0, frame=''))
+    assert bench.spin(lambda: value_of(drive.node, 'resets') == '1')
+    after = drive.go(0, 2)
+    np.testing.assert_allclose(after - [100, 0, 0], [pose.t for pose in expected()[:2]], atol=1e-6)
+
+
+@pytest.mark.parametrize('values', [
+    {'frame': 'map'}, {'x': float('nan')}, {'sigma': float('inf')}])
+def test_a_pose_that_cannot_be_used_changes_nothing(bench, values):
+    drive = Drive(bench)
+    publisher = bench.advertise(PoseWithCovarianceStamped, 'initialpose')
+    publisher.publish(initial_pose(**{'x': 1.0, 'y': 0.0, 'yaw': 0.0, **values}))
+    assert bench.spin(lambda: value_of(drive.node, 'rejected on initialpose') == '1')
+    assert 'initialpose: ' in messages_of(drive.node)
+    after = drive.go(0, 2)
+    np.testing.assert_allclose(after, [pose.t for pose in expected()[:2]], atol=1e-6)
+
+
+def test_the_saved_trajectory_and_map_are_in_one_frame_over_a_pause(bench, tmp_path):
+    drive = Drive(bench, output_directory=str(tmp_path))
+    drive.go(0, 3)
+    for pause in (True, False):
+        bench.call(SetBool, '/slam/pause', data=pause)
+    drive.go(4, 6)
+    assert bench.call(Trigger, '/slam/save_trajectory').success
+    rows = np.loadtxt(tmp_path / 'trajectory.tum')
+    assert len(rows) == 6
+    forward = rows[1:, 3]  # z of the first camera is x of odom
+    np.testing.assert_allclose(forward, [position(msg)[0] for msg in drive.odometry], atol=1e-6)
+    assert bench.call(Trigger, '/slam/save_map').success
+
+
+def test_the_tracker_begins_anew_where_slam_has(bench):
+    node = bench.start(ObstacleTrackerNode, tf_wait=0.0)
+    observations = bench.advertise(PlaneObservations, 'planes/observations')
+    odometry = bench.advertise(Odometry, 'odometry')
+    maps = bench.advertise(PlaneMap, 'planes/map', LATCHED)
+    frames = RosFrames(camera='cam')
+    for i, step in enumerate(drives.steps(3)):
+        observations.publish(to_message(PlaneObservations, fields.extraction_to_fields(
+            step.extraction, frames)))
+        odometry.publish(to_message(Odometry, fields.odometry_to_fields(step.scene, frames)))
+        maps.publish(to_message(PlaneMap, fields.plane_map_to_fields(step.scene, frames,
+                                                                     7 + (i == 2))))
+        assert bench.spin(lambda: value_of(node, 'state') == 'working')
+        bench.spin(lambda: False, 0.3)
+        assert node.resets == (i == 2)
