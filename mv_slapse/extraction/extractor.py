@@ -30,9 +30,9 @@ from mv_slapse.records import (
 )
 from mv_slapse.surfaces import depth_grid, ground, joint, plane_search
 from mv_slapse.surfaces.consensus import Depths
-from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount
+from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride, Vectors
 from mv_slapse.surfaces.plane_search import PlaneFit
-from mv_slapse.surfaces.plane_track import KnownPlane
+from mv_slapse.surfaces.plane_track import KnownPlanes
 import numpy as np
 
 # Mean robust cost at which the last motion explains a pair as well as five points would: about two
@@ -54,6 +54,7 @@ class PlaneExtractor:
             spread=settings.ground_tilt, widest=settings.ground_tilt)))
         self._movers = regions.Memory()
         self._silhouettes = Silhouettes()
+        self._draws = np.random.default_rng(settings.seed).random((settings.trials, 10))
         self._rules = plane_search.Rules(
             settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
             settings.max_planes, settings.max_uncertainty)
@@ -208,11 +209,10 @@ class PlaneExtractor:
     def _planes(self, blank, pair, evidence, fit, ratio, prior: GroundPrior,
                 free, road: np.ndarray) -> list[PlaneFit]:
         """Find the ground, then known planes, then new ones, among stationary blocks."""
-        rng = np.random.default_rng(self._settings.seed)
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
         free = free & evidence.has_depth
         found = []
-        floor = ground.find_ground(depths, free, prior, self._rules, rng, road)
+        floor = ground.find_ground(depths, free, prior, self._rules, self._draws, road)
         if floor is not None:
             found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
@@ -222,10 +222,10 @@ class PlaneExtractor:
             depths, free, known,
             prior.normal if floor is None else floor.plane / np.linalg.norm(floor.plane),
             self._rules, self._rules.max_planes - len(found), self._memory.next_id)
-        newest = max((plane.id for plane in known), default=-1)
+        newest = int(known.id.max(initial=-1))
         self._memory = replace(
-            self._memory, planes=tuple(known), next_id=max(self._memory.next_id, newest + 1),
-            grid=depth_grid.noted(blank.width, blank.height, depths[free]))
+            self._memory, planes=known, next_id=max(self._memory.next_id, newest + 1),
+            grid=depth_grid.noted(blank.width, blank.height, depths, free))
         return found + walls
 
     def _carried(self, pair, depths: Depths, fit: MotionFit, ratio) -> Depths:
@@ -236,15 +236,13 @@ class PlaneExtractor:
         return depth_grid.joined(depths, *grid.predicted(
             pair, fit.R_cur_from_prev, fit.t_cur_from_prev, float(np.exp(ratio.log))))
 
-    def _known(self, blank, fit: MotionFit, ratio) -> list[KnownPlane]:
+    def _known(self, blank, fit: MotionFit, ratio) -> KnownPlanes:
         """Predict the planes of the last pair; none where this pair does not follow it."""
         memory = self._memory
         if memory.stamp != blank.previous_stamp:
-            return []
-        log, sigma = self._memory.log_ratio(blank, ratio)
-        R, t = fit.R_cur_from_prev, fit.t_cur_from_prev
-        predicted = (plane.predicted(R, t, log, sigma) for plane in memory.planes)
-        return [plane for plane in predicted if plane is not None]
+            return KnownPlanes.none()
+        return memory.planes.predicted(fit.R_cur_from_prev, fit.t_cur_from_prev,
+                                       *memory.log_ratio(blank, ratio))
 
     def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio, lone) -> Found:
         """Find what moves by itself, and take it out of the stationary planes."""
@@ -270,8 +268,9 @@ class PlaneExtractor:
         planes = [replace(plane, member=plane.member & still) for plane in found.planes
                   if plane.is_ground or np.mean(still[plane.member]) > 0.5]
         lost = {plane.id for plane in found.planes} - {plane.id for plane in planes}
-        self._memory = replace(self._memory, planes=tuple(
-            plane for plane in self._memory.planes if plane.id not in lost))
+        if lost:
+            known = self._memory.planes
+            self._memory = replace(self._memory, planes=known[~np.isin(known.id, list(lost))])
         unsure = possibly_dynamic.like_movers(shown)
         if seen is not None:
             unsure |= possibly_dynamic.below(pair, fit.R_cur_from_prev, fit.t_cur_from_prev,
@@ -299,10 +298,11 @@ class PlaneExtractor:
         # What flies has no way on the ground.
         turn = rotation.angle(fit.R_cur_from_prev) if memory.ground.mount.rides else 0.0
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, whole.x_cur)
+        ride = Ride(ground.course_of(fit.t_cur_from_prev), turn,
+                    memory.is_comparable(whole, ratio))
         belief, prior, road = ground.survey(
-            depths, pair.sigma, evidence, lone, self._ground_prior(whole, fit, ratio),
-            memory.height.moved(*memory.log_ratio(whole, ratio)), self._settings.epsilon_h,
-            turn, memory.is_comparable(whole, ratio), ground.course_of(fit.t_cur_from_prev))
+            depths, Vectors(pair.sigma, evidence, lone), self._ground_prior(whole, fit, ratio),
+            memory.height.moved(*memory.log_ratio(whole, ratio)), ride, self._settings.epsilon_h)
         self._memory = replace(memory, height=belief)
         return prior, road
 

@@ -9,7 +9,7 @@ from mv_slapse.records import Extraction
 from mv_slapse.surfaces.depth_grid import DepthGrid
 from mv_slapse.surfaces.ground import GroundTrack, Mount
 from mv_slapse.surfaces.height import HeightBelief
-from mv_slapse.surfaces.plane_track import KnownPlane
+from mv_slapse.surfaces.plane_track import KnownPlanes
 import numpy as np
 
 ANY_RATIO = 1.5  # of the log of a baseline after a stop over the one before it: a factor of 4
@@ -30,7 +30,7 @@ class Memory:
     noise: float = 1.0
     next_id: int = 0
     depths: baseline.DepthMap | None = None
-    planes: tuple[KnownPlane, ...] = ()
+    planes: KnownPlanes = KnownPlanes.none()
     movers: np.ndarray | None = None
     height: HeightBelief = HeightBelief.blank()
     grid: DepthGrid | None = None
@@ -38,12 +38,10 @@ class Memory:
 
     def turned(self, stamp: int, R) -> 'Memory':
         """Return it after the camera has turned by R_cur_from_prev on the spot."""
-        planes = tuple(replace(plane, plane=R @ plane.plane, covariance=R @ plane.covariance @ R.T)
-                       for plane in self.planes)
         floor = self.ground.plane
         floor = floor if floor is None else R @ floor
-        return replace(self, stamp=stamp, previous_stamp=None, depths=None, planes=planes,
-                       movers=None, grid=None, past=Past(),
+        return replace(self, stamp=stamp, previous_stamp=None, depths=None,
+                       planes=self.planes.turned(R), movers=None, grid=None, past=Past(),
                        ground=replace(self.ground, plane=floor))
 
     def past_at(self, blank: Extraction, fit: MotionFit, ratio: baseline.BaselineRatio) -> Past:

@@ -2,6 +2,8 @@
 
 #include <pybind11/pybind11.h>
 
+void bind_depth_grid(pybind11::module_& module);
+void bind_ground(pybind11::module_& module);
 void bind_lattice(pybind11::module_& module);
 void bind_scene(pybind11::module_& module);
 void bind_scene_blocks(pybind11::module_& module);
@@ -14,11 +16,14 @@ void bind_evidence(pybind11::module_& module);
 void bind_merging(pybind11::module_& module);
 void bind_motion_prior(pybind11::module_& module);
 void bind_small(pybind11::module_& module);
+void bind_surfaces(pybind11::module_& module);
 void bind_two_view(pybind11::module_& module);
 
 PYBIND11_MODULE(mv_slapse_kernels, module) {
   module.doc() = "Kernels of mv_slapse: pure functions of arrays, without state or threads.";
   module.attr("sanitized") = SANITIZED;
+  bind_depth_grid(module);
+  bind_ground(module);
   bind_lattice(module);
   bind_scene(module);
   bind_scene_blocks(module);
@@ -31,5 +36,6 @@ PYBIND11_MODULE(mv_slapse_kernels, module) {
   bind_merging(module);
   bind_motion_prior(module);
   bind_small(module);
+  bind_surfaces(module);
   bind_two_view(module);
 }

@@ -7,12 +7,14 @@ key frame to the next, and next to nothing lies below it.
 
 from dataclasses import dataclass, replace
 
-from mv_slapse.geometry import lattice
 from mv_slapse.geometry import plane as plane_geometry
-from mv_slapse.surfaces import consensus, height, upright
+from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.kernels.binding import compiled
+from mv_slapse.motion.observations import BlockObservations
+from mv_slapse.surfaces import height
 from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.height import HeightBelief, RoadBlocks
-from mv_slapse.surfaces.plane_search import gather, PlaneFit, Rules
+from mv_slapse.surfaces.plane_search import PlaneFit, Rules
 import numpy as np
 
 AXIS = np.array([0.0, 0.0, 1.0])
@@ -21,15 +23,32 @@ HEIGHT_WOBBLE = 0.02  # change of log(height) between key frames: suspension and
 FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for afresh
 GUESSED = 0.5  # the same of a ground that none shows, for movers: it is within a factor of 2.7
 FARTHEST = 2.0  # standard deviations by which that ground may lie farther, or nearer
-DEPENDENCE = 10.0  # blocks of road that tell as much as one: what stands on it errs one way
 MAX_BLUR = 0.07  # standard deviation of a block's depth, as a share of it
-CORRIDOR = 2.5  # camera heights to either side: beyond, kerbs, lawns and drives lie higher
 IN_VIEW = 0.9  # cosine of the course to the axis, 26 degrees; beyond, few cameras see it
-AROUND = 1.0  # rad: what lies farther off than the camera will have turned by then is on no way
-MIN_DROP = 0.03  # rad below the horizon: nearer to it a block tells nothing of the height
-ALIKE = 0.2  # share of depth by which blocks of one surface below the ground may differ
 LEARNING = 0.1  # share that one key frame has in the learned mounting
 SLOW_LEARNING = 0.01  # the same in what kind of robot it is, which does not change
+
+# What the kernels go by.
+POLICY = {
+    'max_blur': MAX_BLUR,
+    'ground_dependence': 10.0,  # blocks of road that tell as much as one: all err one way
+    'corridor': 2.5,  # camera heights to either side: beyond, kerbs, lawns and drives lie higher
+    # rad: what lies farther off than the camera will have turned by then is on no way.
+    'around': 1.0,
+    'min_drop': 0.03,  # rad below the horizon: nearer to it a block tells nothing of the height
+    'alike': 0.2,  # share of depth by which blocks of one surface below the ground may differ
+    'min_depths': 10,  # sharp blocks that tell how far the scene is
+    'most': height.MOST,
+    'sure': height.SURE,
+    # Vehicles beside the camera's way look as far as a road far below: pair after pair the lower
+    # edge of one tells a wrong height. What rises shows one depth in all rows, a road does not.
+    'above_least': 0.5, 'above_most': 1.5,  # macroblocks from a block up to the one above it
+    'beside': 0.75,  # the same aside
+    'body_relief': 0.06,  # share of an inverse depth by which a surface is no plane
+    'stray': 0.05,  # density of a wrong vector's depth, to the peak of a right one's
+    'upright_sure': 3.0,  # times likelier to be upright than level
+    'macroblock': float(MACROBLOCK),
+}
 
 
 @dataclass(frozen=True)
@@ -186,31 +205,52 @@ class GroundTrack:
                            np.hypot(prior.spread, 2 * HEIGHT_WOBBLE), prior.tilt)
 
 
-def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior: GroundPrior,
-           belief: HeightBelief, cut: float, turn: float, learns: bool, course: np.ndarray = AXIS):
+@dataclass(frozen=True)
+class Vectors:
+    """What is known of N blocks beside their depths.
+
+    Attributes
+    ----------
+    sigma : (N,) array
+        Standard deviation of a coordinate [px].
+    evidence : BlockObservations
+    unsupported : (N,) bool array
+        Vectors that no neighbour supports.
+    """
+
+    sigma: np.ndarray
+    evidence: BlockObservations
+    unsupported: np.ndarray
+
+
+@dataclass(frozen=True)
+class Ride:
+    """How the camera goes: its way (3,) as of ``course_of``, and how far it turns [rad].
+
+    ``learns`` tells whether the pair's vectors can be trusted to mean what they say.
+    """
+
+    course: np.ndarray
+    turn: float
+    learns: bool
+
+
+def survey(depths: Depths, vectors: Vectors, prior: GroundPrior, belief: HeightBelief,
+           ride: Ride, cut: float):
     """Learn the height from the blocks before the camera, and tell which lone ones are road.
 
     Parameters
     ----------
     depths : Depths
         Of all blocks, (N,).
-    sigma : (N,) array
-        Standard deviation of a coordinate [px].
-    evidence : BlockObservations
-    lone : (N,) bool array
-        Vectors that no neighbour supports.
+    vectors : Vectors
     prior : GroundPrior
         From the pairs before.
     belief : HeightBelief
         From the pairs before, in this baseline.
+    ride : Ride
     cut : float
         Largest error of a block on the ground, in standard deviations.
-    turn : float
-        Of the camera during the pair [rad].
-    learns : bool
-        Whether this pair's vectors can be trusted to mean what they say.
-    course : (3,) array
-        Way of the camera in camera k, as of ``course_of``.
 
     Returns
     -------
@@ -219,24 +259,21 @@ def survey(depths: Depths, sigma: np.ndarray, evidence, lone: np.ndarray, prior:
     road : (N,) bool array
         Lone blocks on the ground; none where it is not known.
     """
-    drop, ahead = corridor(depths.rays, prior.normal, course)
-    fits = evidence.epipolar_inlier & (depths.rho > 0)
-    shown = fits & ~lone
-    sharp = shown & (depths.sigma < MAX_BLUR * depths.rho)
-    # What is far below sees nothing as near as what it flies over.
-    ceiling = (np.median(1 / depths.rho[sharp]) if sharp.sum() >= height.MIN_DEPTHS
-               else height.MOST)
-    way = (ahead & (depths.rho > turn / AROUND)
-           & ~upright.on_bodies(depths, drop, fits & (drop > MIN_DROP)))
-    blocks = RoadBlocks(depths[way], drop[way], evidence.epipolar_error[way], sigma[way],
-                        evidence.parallax[way])
-    if learns:
-        belief = belief.seen(blocks, prior.tilt, float(np.median(evidence.parallax[shown])),
-                             ceiling)
+    evidence, lone = vectors.evidence, vectors.unsupported
+    way, ahead, drop, ceiling, parallax = compiled.find_way(
+        *depths.columns, evidence.epipolar_inlier, lone, evidence.parallax, prior.normal,
+        ride.course, ride.turn, POLICY)
+    if ride.learns:
+        blocks = RoadBlocks(depths, drop, evidence.epipolar_error, vectors.sigma,
+                            evidence.parallax, way)
+        belief = belief.seen(blocks, prior.tilt, parallax, ceiling)
     prior = prior.informed(belief)
-    known = prior.spread < height.SURE
-    road = lone & ahead & fits & ~evidence.at_infinity & known
-    return belief, prior, road & prior.hold(depths, cut)
+    road = np.zeros(len(depths), bool)
+    if prior.spread < height.SURE:
+        at = np.flatnonzero(lone & ahead & evidence.epipolar_inlier & ~evidence.at_infinity)
+        part = depths[at]
+        road[at] = prior.hold(part, cut) & (part.rho > 0)
+    return belief, prior, road
 
 
 def for_movers(seen: np.ndarray | None, prior: GroundPrior, belief: HeightBelief
@@ -258,8 +295,14 @@ def for_movers(seen: np.ndarray | None, prior: GroundPrior, belief: HeightBelief
 
 
 def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rules,
-                rng: np.random.Generator, lone: np.ndarray | bool = False) -> PlaneFit | None:
+                draws: np.ndarray, lone: np.ndarray | None = None) -> PlaneFit | None:
     """Find the ground among stationary blocks.
+
+    Level planes through one block and planes through three neighbours are proposed; the one with
+    the least truncated squared error is refined. Where the ground is known already it need not be
+    found, only seen. What has been pulled to zero, or slid along a marking, lies at all depths:
+    below a known ground only blocks that lie alike speak against it. What lies above a ground may
+    stand on it; but where most blocks lie elsewhere, chance makes a ground as well.
 
     Parameters
     ----------
@@ -268,6 +311,8 @@ def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rul
         Stationary blocks that are not at infinity.
     prior : GroundPrior
         Beyond three standard deviations of it nothing is the ground.
+    draws : (T, 10) array
+        Uniform numbers from 0 to 1, by which T planes of each kind are drawn.
     lone : (N,) bool array, optional
         Blocks on a ground that earlier pairs have shown, which need no neighbours.
 
@@ -276,44 +321,12 @@ def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rul
     fit : PlaneFit or None
         None where too few blocks agree, or too many lie below.
     """
-    drop, ahead = corridor(depths.rays, prior.normal)
-    below_horizon = free & ahead & (depths.rho > 0)
-    sample = depths[below_horizon]
-    # Where it is known already it need not be found, only seen.
-    known = prior.spread < height.SURE
-    least = rules.min_macroblocks // (4 if known else 1)
-    if lattice.count_macroblocks(sample.x) < least:
-        return None
-    level = prior.normal * (sample.rho / drop[below_horizon])[:, None]
-    level = level[rng.integers(len(level), size=rules.trials)]
-    tilted = consensus.sample_planes(sample, 4 * rules.radius, rules.trials, rng)
-    hypotheses = np.vstack([level, tilted])
-    distance = prior.distance(hypotheses)
-    near = distance < 9
-    plane, _ = consensus.best_plane(sample, hypotheses[near], rules.cut, prior=distance[near],
-                                    blur=MAX_BLUR)
-    if plane is None:
-        return None
-    for _ in range(2):
-        sharp = sample[_sharp(sample, plane)]
-        if lattice.count_macroblocks(sharp.x) < least:
-            return None
-        mean, information = prior.information(plane)
-        plane, covariance = consensus.refine_plane(
-            sharp, plane, prior_plane=mean, prior_information=DEPENDENCE * information)
-    sharp = below_horizon & _sharp(depths, plane)
-    member = gather(depths, plane, sharp, rules)
-    member |= lone & sharp & (np.abs(depths.error(plane)) < rules.cut)
-    error = sample.error(plane)
-    below = sample[error < -rules.cut]
-    # What has been pulled to zero, or slid along a marking, lies at all depths. What lies above a
-    # ground may stand on it; but where most blocks lie elsewhere, chance makes a ground as well.
-    speaks = (_most_alike(below.rho / -(below.rays @ plane)) if known
-              else np.sum(np.abs(error) > rules.cut))
-    if (lattice.count_macroblocks(depths.x[member]) < least
-            or speaks > member.sum() or prior.distance(plane[None])[0] > 9):
-        return None
-    return PlaneFit(plane, covariance, member, is_ground=True)
+    found = compiled.find_ground(
+        *depths.columns, free, np.zeros(len(depths), bool) if lone is None else lone,
+        prior.normal, (prior.tilt, prior.inverse_depth, prior.spread), draws,
+        {**POLICY, 'cut': rules.cut, 'radius': rules.radius,
+         'min_macroblocks': rules.min_macroblocks})
+    return None if found is None else PlaneFit(*found, is_ground=True)
 
 
 def course_of(t_cur_from_prev: np.ndarray) -> np.ndarray:
@@ -325,12 +338,6 @@ def course_of(t_cur_from_prev: np.ndarray) -> np.ndarray:
     return t * np.sign(t[2]) if abs(t[2]) > IN_VIEW * np.linalg.norm(t) else AXIS
 
 
-def corridor(rays: np.ndarray, normal: np.ndarray, course: np.ndarray = AXIS):
-    """Return how far rays (N, 3) fall on the way of one unit, and which may meet the road."""
-    drop = -rays @ normal
-    return drop, (drop > MIN_DROP) & (np.abs(rays @ _across(normal, course)) < CORRIDOR * drop)
-
-
 def _sharp(depths: Depths, plane: np.ndarray) -> np.ndarray:
     """Return the blocks (N,) whose depth on the plane would be known to MAX_BLUR.
 
@@ -339,15 +346,3 @@ def _sharp(depths: Depths, plane: np.ndarray) -> np.ndarray:
     in the height for 2 degrees, as measured).
     """
     return depths.sigma < MAX_BLUR * np.maximum(-depths.rays @ plane, 1e-9)
-
-
-def _most_alike(values: np.ndarray) -> int:
-    """Return how many positive values (N,) at most differ by less than a share ALIKE."""
-    log = np.sort(np.log(values))
-    return int(np.max(np.searchsorted(log, log + ALIKE) - np.arange(len(log)), initial=0))
-
-
-def _across(normal: np.ndarray, course: np.ndarray) -> np.ndarray:
-    """Return the unit vector (3,) along the ground and across the course (3,)."""
-    across = np.cross(normal, course)
-    return across / np.linalg.norm(across)

@@ -7,35 +7,43 @@ of the picture tells to half a per cent; so the evidence of many pairs comes tog
 
 from dataclasses import dataclass
 
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.surfaces.consensus import Depths
 import numpy as np
 
 STEP = 0.04  # of log(height): half of what one block tells at best
 LEAST, MOST = 0.05, 50.0  # [baseline]: a robot's camera at full speed, a lorry's that creeps
 GRID = np.arange(np.log(LEAST), np.log(MOST), STEP)
-RELIEF = 0.04  # error that the road's height has at one block: crown, ruts
-BLURRED = 0.5  # standard deviation of a block's depth, as a share: beyond it tells nothing
 DRIFT = 0.01  # random walk of log(height) from pair to pair: slope and load
 LEAK = 1e-5  # probability that the road has ended and all is as new
 BIAS = 0.03  # by which all log(height) err alike: encoders pull vectors to zero, as measured
 SURE = 0.07  # standard deviation of log(height) of one that is known; at 0.1 some were wrong
 KNOWN = 0.1  # and beyond which it contradicts none
 LEAST_PARALLAX = 4.0  # px: shorter vectors may have been pulled to zero
-GATE = 2.0  # sigma of the epipolar error of a block that may be right
-ISOTROPY = 0.25  # of log(length): width by which the lengths of wrong vectors are smoothed
-RIGHT = (0.03, 0.6)  # least and largest share of right vectors that a pair is believed to hold
-APART = 48.0  # px, three macroblocks: what lies nearer to each other errs together,
-SITES = 2.0  # and so many places tell as much as one
-MIN_DEPTHS = 10  # sharp blocks that tell how far the scene is
+
+# What the kernel goes by. Wrong vectors that lie far off the epipolar line are known, and they
+# point anywhere: as many of each length pass for right as chance turns to the line.
+POLICY = {
+    'relief': 0.04,  # error that the road's height has at one block: crown, ruts
+    'blurred': 0.5,  # deviation of a block's depth, as a share: beyond it tells nothing
+    'gate': 2.0,  # sigma of the epipolar error of a block that may be right
+    'isotropy': 0.25,  # of log(length): width by which the lengths of wrong vectors are smoothed
+    # Least and largest share of right vectors that a pair is believed to hold.
+    'right_least': 0.03, 'right_most': 0.6,
+    # An encoder goes on with the last vector over smooth ground: what lies nearer to each other
+    # than three macroblocks [px] errs together, and so many places tell as much as one.
+    'apart': 48.0, 'sites': 2.0,
+}
 
 
 @dataclass(frozen=True)
 class RoadBlocks:
-    """Blocks where the ground may be, right ones and wrong ones.
+    """Blocks, right ones and wrong ones, and where among them the ground may be.
 
     Attributes
     ----------
     depths : Depths
+        Of N blocks.
     drop : (N,) array
         What each ray falls on the way of one unit.
     error : (N,) array
@@ -44,6 +52,8 @@ class RoadBlocks:
         Standard deviation of a coordinate [px].
     parallax : (N,) array
         Length of the motion that no rotation explains [px].
+    on_way : (N,) bool array
+        Blocks where the ground may be.
     """
 
     depths: Depths
@@ -51,35 +61,7 @@ class RoadBlocks:
     error: np.ndarray
     sigma: np.ndarray
     parallax: np.ndarray
-
-    def possible(self, least: float) -> np.ndarray:
-        """Return the blocks (N,) that may show the ground: they move by ``least`` px or more."""
-        return ((np.abs(self.error) < GATE) & (self.depths.rho > 0) & (self.parallax > least))
-
-    def strays(self, possible: np.ndarray, least: float):
-        """Return the density of wrong vectors among the possible, by log(length), and their share.
-
-        Wrong vectors that lie far off the epipolar line are known, and they point anywhere: as
-        many of each length pass for right as chance turns to the line.
-        """
-        wrong = (np.abs(self.error) > GATE) & (self.parallax > least)
-        length = self.parallax[wrong]
-        chance = np.arcsin(np.minimum(GATE * self.sigma[wrong] / length, 1.0)) / np.pi
-        passing = chance / (1 - 2 * np.minimum(chance, 0.4))
-        gap = np.log(self.parallax[possible])[:, None] - np.log(length)
-        near = np.exp(-0.5 * np.square(gap / ISOTROPY)) / (np.sqrt(2 * np.pi) * ISOTROPY)
-        # One more of any length, over the six units that lengths have.
-        total = passing.sum()
-        return (near @ passing + 1 / 6) / (total + 1), total / max(possible.sum(), 1)
-
-    def around(self, possible: np.ndarray) -> np.ndarray:
-        """Return how many of the possible blocks lie about each, itself among them.
-
-        An encoder goes on with the last vector over smooth ground: what lies together tells as
-        much as one.
-        """
-        near = [np.abs(column[:, None] - column) < APART for column in self.depths.x[possible].T]
-        return np.count_nonzero(near[0] & near[1], axis=1)
+    on_way: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -114,12 +96,9 @@ class HeightBelief:
 
     def moved(self, log_ratio: float, sigma: float) -> 'HeightBelief':
         """Return it in the next baseline, which is exp(log_ratio) of this one."""
-        moved = np.interp(GRID + log_ratio, GRID, self.probability, 0.0, 0.0)
-        width = min(float(np.hypot(sigma, DRIFT)), 3.0) / STEP
-        reach = np.arange(-np.ceil(3 * width), np.ceil(3 * width) + 1)
-        kernel = np.exp(-0.5 * np.square(reach / width))
-        moved = np.convolve(moved, kernel / kernel.sum())[len(reach) // 2:][:len(GRID)]
-        return HeightBelief((1 - LEAK) * moved + (1 - (1 - LEAK) * moved.sum()) / len(GRID))
+        width = min(float(np.hypot(sigma, DRIFT)), 3.0)
+        return HeightBelief(compiled.move_height(self.probability, log_ratio / STEP,
+                                                 width / STEP, LEAK))
 
     def seen(self, blocks: RoadBlocks, tilt: float, parallax: float,
              ceiling: float) -> 'HeightBelief':
@@ -135,23 +114,8 @@ class HeightBelief:
         ceiling : float
             Largest height [baseline].
         """
-        least = max(LEAST_PARALLAX, parallax)
-        possible = blocks.possible(least)
-        if not possible.any():
-            return self
-        stray, wrong = blocks.strays(possible, least)
-        right = np.clip(1 - wrong, *RIGHT)
-        depths = blocks.depths[possible]
-        expected = blocks.drop[possible][:, None] * np.exp(-GRID)
-        rough = np.hypot(RELIEF, tilt / blocks.drop[possible])[:, None]
-        sigma = np.hypot(depths.sigma[:, None], rough * expected)
-        error = (depths.rho[:, None] - expected) / sigma
-        density = np.exp(-0.5 * np.square(error)) * expected / (np.sqrt(2 * np.pi) * sigma)
-        gain = np.log(1 - right + right * density / stray[:, None])
-        gain[sigma > BLURRED * expected] = 0
-        share = 1 / (SITES * blocks.around(possible))
-        log = np.where(np.log(ceiling) > GRID, share @ gain + np.log(self.probability), -np.inf)
-        if not np.any(np.isfinite(log)):
-            return HeightBelief.blank()
-        probability = np.exp(log - log.max())
-        return HeightBelief(probability / probability.sum())
+        rays, rho, sigma, x = blocks.depths.columns
+        probability = compiled.see_height(
+            self.probability, GRID, rho, sigma, x, blocks.drop, blocks.error, blocks.sigma,
+            blocks.parallax, blocks.on_way, tilt, max(LEAST_PARALLAX, parallax), ceiling, POLICY)
+        return self if probability is None else HeightBelief(probability)

@@ -1,9 +1,8 @@
 """Planes that earlier key frames have shown, and what they let expect of the next."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
-from mv_slapse.geometry import plane as plane_geometry
+from mv_slapse.kernels.binding import compiled
 import numpy as np
 
 WOBBLE = 0.01  # rad, and share of the depth: change from pair to pair that a fit does not tell
@@ -16,80 +15,93 @@ MOST = 30  # planes out of view that are kept
 
 
 @dataclass(frozen=True)
-class KnownPlane:
-    """A plane over several pairs, in the camera and the baseline of the last one.
+class KnownPlanes:
+    """K planes over several pairs, in the camera and the baseline of the last one.
 
     Attributes
     ----------
-    plane, covariance : (3,), (3, 3) arrays
+    plane, covariance : (K, 3), (K, 3, 3) arrays
         n / d [1/baseline], with neighbouring vectors' common errors counted.
-    id : int
+    id : (K,) int array
         -1 until it is confirmed.
-    seen, missed : int
+    seen, missed : (K,) int arrays
         Pairs that have shown it; pairs since then.
     """
 
     plane: np.ndarray
     covariance: np.ndarray
-    id: int = -1
-    seen: int = 1
-    missed: int = 0
+    id: np.ndarray
+    seen: np.ndarray
+    missed: np.ndarray
+
+    @classmethod
+    def none(cls) -> 'KnownPlanes':
+        """Return no planes."""
+        number = np.zeros(0, np.int64)
+        return cls(np.zeros((0, 3)), np.zeros((0, 3, 3)), number, number, number)
+
+    def __getitem__(self, rows) -> 'KnownPlanes':
+        """Return those of a mask or an index."""
+        return KnownPlanes(*(getattr(self, item.name)[rows] for item in fields(self)))
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return len(self.id)
+
+    def __add__(self, other: 'KnownPlanes') -> 'KnownPlanes':
+        """Return these, then others."""
+        return KnownPlanes(*(np.concatenate([getattr(part, item.name) for part in (self, other)])
+                             for item in fields(self)))
 
     @property
-    def is_away(self) -> bool:
-        """Tell whether it is out of view, rather than missed for a moment."""
+    def is_away(self) -> np.ndarray:
+        """Tell which are out of view, rather than missed for a moment, (K,)."""
         return self.missed > PATIENCE
 
     @property
-    def spread(self) -> float:
-        """Return the standard deviation of the plane, as a share of it."""
-        return float(np.sqrt(np.trace(self.covariance)) / np.linalg.norm(self.plane))
+    def spread(self) -> np.ndarray:
+        """Return the standard deviation of each plane, as a share of it, (K,)."""
+        return np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)
+                       / np.sum(self.plane**2, axis=1))
 
-    def predicted(self, R, t, log_ratio: float, ratio_sigma: float) -> 'KnownPlane | None':
-        """Predict it through X_cur = R X_prev + t, |t| = 1 = exp(log_ratio) old baselines.
+    def predicted(self, R, t, log_ratio: float, ratio_sigma: float) -> 'KnownPlanes':
+        """Predict them through X_cur = R X_prev + t, |t| = 1 = exp(log_ratio) old baselines.
 
-        None where the camera has passed through it.
+        Those that the camera has passed through are gone.
         """
-        scale = np.exp(log_ratio)
-        rotated = R @ self.plane * scale
-        nearer = 1 - rotated @ t
-        if nearer <= 0:
-            return None
-        plane = plane_geometry.transform(self.plane * scale, R, t)
-        J = scale * (R / nearer + np.outer(rotated, t @ R) / nearer**2)
-        wobble = (DRIFT if self.missed else WOBBLE)**2 * (plane @ plane) * np.eye(3)
-        covariance = (J @ self.covariance @ J.T + ratio_sigma**2 * np.outer(plane, plane) + wobble)
-        return replace(self, plane=plane, covariance=covariance)
+        if not len(self):
+            return self
+        plane, covariance, good = compiled.predict_planes(
+            self.plane, self.covariance, np.ascontiguousarray(R), np.ascontiguousarray(t),
+            log_ratio, ratio_sigma, np.where(self.missed > 0, DRIFT, WOBBLE))
+        moved = replace(self, plane=plane, covariance=covariance)
+        return moved if good.all() else moved[good]
 
-    def is_near(self, plane: np.ndarray, covariance: np.ndarray) -> bool:
-        """Tell whether another plane (3,) with its covariance (3, 3) may be the same."""
-        off = plane - self.plane
-        return float(off @ np.linalg.solve(self.covariance + covariance, off)) < GATE
+    def turned(self, R: np.ndarray) -> 'KnownPlanes':
+        """Return them after the camera has turned by R_cur_from_prev on the spot."""
+        return replace(self, plane=self.plane @ R.T, covariance=R @ self.covariance @ R.T)
 
-    def fused(self, plane: np.ndarray, covariance: np.ndarray) -> 'KnownPlane':
-        """Return the mean with what one more pair shows, each by its information."""
-        gain = np.linalg.solve(self.covariance + covariance, self.covariance).T
-        rest = (np.eye(3) - gain) @ self.covariance
-        return replace(self, plane=self.plane + gain @ (plane - self.plane),
-                       covariance=0.5 * (rest + rest.T), seen=self.seen + 1, missed=0)
+    def unseen(self) -> 'KnownPlanes':
+        """Return them after a pair that does not show them, without those that are given up.
 
-    def unseen(self) -> 'KnownPlane | None':
-        """Return it after a pair that does not show it; None where it is given up.
-
-        A plane that was well seen leaves the view and may come back.
+        A plane that was well seen leaves the view and may come back. Of too many those out of
+        view for the longest are given up.
         """
-        soon = self.seen >= 2 and self.missed < PATIENCE
-        later = self.id >= 0 and self.seen >= WELL_SEEN and self.spread < USEFUL
-        return replace(self, missed=self.missed + 1) if soon or later else None
+        soon = (self.seen >= 2) & (self.missed < PATIENCE)
+        later = (self.id >= 0) & (self.seen >= WELL_SEEN) & (self.spread < USEFUL)
+        left = replace(self, missed=self.missed + 1)[soon | later]
+        if np.count_nonzero(left.is_away) <= MOST:
+            return left
+        away = left[left.is_away]
+        return left[~left.is_away] + away[np.argsort(away.missed, kind='stable')[:MOST]]
 
+    def near(self, plane: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Tell which of them another plane (3,) with its covariance (3, 3) may be, (K,)."""
+        off, *_ = compiled.compare_planes(self.plane, self.covariance, plane, covariance)
+        return off < GATE
 
-def recognised(track: KnownPlane, known: Sequence[KnownPlane]) -> KnownPlane | None:
-    """Return the plane out of view that a new one is, the nearest; None where it is another."""
-    near = [old for old in known if old.is_away and old.is_near(track.plane, track.covariance)]
-    return min(near, key=lambda old: np.linalg.norm(old.plane - track.plane), default=None)
-
-
-def kept(known: Sequence[KnownPlane]) -> list[KnownPlane]:
-    """Return the planes without those that were out of view for the longest, if too many."""
-    away = sorted((plane for plane in known if plane.is_away), key=lambda plane: plane.missed)
-    return [plane for plane in known if not plane.is_away] + away[:MOST]
+    def recognised(self, plane: np.ndarray, covariance: np.ndarray) -> int:
+        """Return the id of the plane out of view that a new one is, the nearest; -1: of none."""
+        near = self[self.is_away & self.near(plane, covariance)]
+        off = np.linalg.norm(near.plane - plane, axis=1)
+        return int(near.id[np.argmin(off)]) if len(near) else -1

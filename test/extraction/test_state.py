@@ -7,7 +7,7 @@ from mv_slapse.geometry import rotation
 from mv_slapse.motion.baseline import BaselineRatio
 from mv_slapse.records import CameraMotion, Extraction, MotionStatus, SegmentKind
 from mv_slapse.surfaces.ground import GroundTrack, Mount
-from mv_slapse.surfaces.plane_track import KnownPlane
+from mv_slapse.surfaces.plane_track import KnownPlanes
 import numpy as np
 import pytest
 
@@ -38,12 +38,13 @@ def test_a_turn_on_the_spot_turns_planes_and_forgets_places():
     R = rotation.exp(np.array([0.0, 0.1, 0.02]))
     wall, floor = np.array([-0.2, 0.0, -0.1]), np.array([0.0, -0.6, 0.05])
     memory = replace(MEMORY, ground=GroundTrack(Mount(), 0, floor, 0.1), movers=np.ones((2, 2)),
-                     planes=(KnownPlane(wall, np.diag([1.0, 2.0, 3.0]), 1),))
+                     planes=KnownPlanes(wall[None], np.diag([1.0, 2.0, 3.0])[None],
+                                        *np.ones((3, 1), int)))
     turned = memory.turned(300, R)
     point = np.array([1.0, 0.5, 8.0])
-    assert turned.planes[0].plane @ (R @ point) == pytest.approx(wall @ point)
+    assert turned.planes.plane[0] @ (R @ point) == pytest.approx(wall @ point)
     assert turned.ground.plane @ (R @ point) == pytest.approx(floor @ point)
-    np.testing.assert_allclose(turned.planes[0].covariance, R @ np.diag([1.0, 2.0, 3.0]) @ R.T)
+    np.testing.assert_allclose(turned.planes.covariance[0], R @ np.diag([1.0, 2.0, 3.0]) @ R.T)
     assert turned.movers is None
     assert turned.depths is None
     assert turned.stamp == 300

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from canyon import CANYON, HEIGHT, motion, MOTIONS, views, WIDTH
 from mv_slapse.geometry import plane as plane_geometry
+from mv_slapse.geometry import two_view
 from mv_slapse.surfaces import depth_grid
 from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.depth_grid import DepthGrid
@@ -56,8 +57,8 @@ def test_several_pairs_know_depths_better_than_one(rng):
 
 @pytest.mark.parametrize('name', MOTIONS)
 def test_the_information_is_that_of_the_derivative(name, monkeypatch):
-    monkeypatch.setattr(depth_grid, 'DRIFT', 0.0)
-    monkeypatch.setattr(depth_grid, 'FORGETTING', 1.0)
+    monkeypatch.setitem(depth_grid.POLICY, 'drift', 0.0)
+    monkeypatch.setitem(depth_grid.POLICY, 'forgetting', 1.0)
     R, t = motion(name)
     scene = views(R, t)
     pair, step = scene.pair[scene.surface >= 0], 1e-5
@@ -75,7 +76,9 @@ def test_nothing_is_known_across_an_edge_nor_outside():
     rho = np.array([[1.0, 1.0, 1.5, 1.5]] * 2)
     grid = DepthGrid(rho, np.full(rho.shape, 100.0))
     x = np.array([[15.5, 15.5], [31.5, 15.5], [47.5, 15.5], [70.0, 15.5], [-40.0, 15.5]])
-    value, information = grid._at(x)
+    rays = np.c_[x / 500, np.ones(5)]
+    pair = two_view.Pair(rays, rays, x, np.ones(5), np.eye(3))
+    value, information = grid.predicted(pair, np.eye(3), np.zeros(3), 1.0)
     np.testing.assert_array_equal(information > 0, [True, False, True, False, False])
     np.testing.assert_allclose(value[[0, 2]], [1.0, 1.5])
 

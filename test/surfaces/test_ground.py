@@ -4,10 +4,11 @@ from dataclasses import replace
 
 from canyon import CANYON, motion, views
 from mv_slapse.geometry import plane as plane_geometry
-from mv_slapse.motion.observations import Evidence
+from mv_slapse.kernels.binding import compiled
+from mv_slapse.motion.observations import BlockObservations
 from mv_slapse.surfaces import ground, height
 from mv_slapse.surfaces.consensus import Depths
-from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount
+from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride, Vectors
 from mv_slapse.surfaces.plane_search import Rules
 from numeric import jacobian
 import numpy as np
@@ -35,6 +36,10 @@ def road_depths(rng, outliers=0.0, planes=CANYON, pixel_sigma=0.3):
                    scene.rho[near] + sigma * rng.normal(size=n))
     depths = Depths(scene.pair.rays_cur[near], rho, np.maximum(sigma, 1e-6), scene.x_cur[near])
     return depths, scene.surface[near], wrong
+
+
+def find(depths, free, prior, rng, lone=None, rules=RULES):
+    return ground.find_ground(depths, free, prior, rules, rng.random((256, 10)), lone)
 
 
 def test_no_mounting_leans_by_more_than_three_standard_deviations():
@@ -214,10 +219,18 @@ def test_a_known_ground_is_seen_in_a_few_lone_blocks(rng):
     few = np.flatnonzero(surface == 0)[::40][-10:]
     free, prior = np.zeros(len(depths), bool), GroundPrior(UP, 0.02, 1 / 1.6, 0.05)
     free[few] = True
-    fit = ground.find_ground(depths, free, prior, RULES, rng, free)
+    fit = find(depths, free, prior, rng, free)
     normal, depth = plane_geometry.to_normal_depth(fit.plane)
     assert depth == pytest.approx(1.6, rel=0.03)
-    assert ground.find_ground(depths, free, FRESH, RULES, rng, free) is None
+    assert find(depths, free, FRESH, rng, free) is None
+
+
+def observed(depths, parallax):
+    """Return right vectors that show some depths."""
+    n = len(depths)
+    no, yes, flow = np.zeros(n, bool), np.ones(n, bool), np.c_[parallax, np.zeros(n)]
+    return BlockObservations(None, np.zeros(n), depths.rho, depths.sigma, depths.sigma,
+                             depths.sigma, parallax, flow, yes, no, no, yes)
 
 
 def surveyed(rng, prior, learns=True, turn=0.0, n=120):
@@ -231,11 +244,9 @@ def surveyed(rng, prior, learns=True, turn=0.0, n=120):
     rho = depths.rho.copy()
     rho[wrong] *= np.exp(rng.uniform(-2, 2, len(wrong)))
     depths = replace(depths, rho=rho)
-    inlier, parallax = np.ones(len(rho), bool), np.clip(500 * rho, 5, 50)
-    evidence = Evidence(np.zeros(len(rho)), inlier, rho, depths.sigma, depths.sigma, parallax,
-                        ~inlier, ~inlier)
-    result = ground.survey(depths, np.full(len(rho), 0.3), evidence, lone, prior,
-                           height.HeightBelief.blank(), 3.0, turn, learns)
+    evidence = observed(depths, np.clip(500 * rho, 5, 50))
+    result = ground.survey(depths, Vectors(np.full(len(rho), 0.3), evidence, lone), prior,
+                           height.HeightBelief.blank(), Ride(ground.AXIS, turn, learns), 3.0)
     return *result, lone, wrong
 
 
@@ -264,7 +275,7 @@ def test_what_lies_around_the_bend_tells_nothing_of_the_height(rng, turn, learne
 
 def test_the_road_is_found_exactly_without_noise(rng):
     depths, surface, _ = road_depths(rng, pixel_sigma=0.0)
-    fit = ground.find_ground(depths, np.ones(len(depths), bool), FRESH, RULES, rng)
+    fit = find(depths, np.ones(len(depths), bool), FRESH, rng)
     np.testing.assert_allclose(fit.plane, ROAD, atol=1e-5)
     assert fit.is_ground
     assert np.mean(surface[fit.member] == 0) > 0.98
@@ -272,7 +283,7 @@ def test_the_road_is_found_exactly_without_noise(rng):
 
 def test_forty_percent_wrong_vectors_cost_little(rng):
     depths, surface, wrong = road_depths(rng, outliers=0.4)
-    fit = ground.find_ground(depths, np.ones(len(depths), bool), FRESH, RULES, rng)
+    fit = find(depths, np.ones(len(depths), bool), FRESH, rng)
     normal, depth = plane_geometry.to_normal_depth(fit.plane)
     assert depth == pytest.approx(1.6, rel=0.02)
     assert normal @ UP > np.cos(np.radians(1))
@@ -284,10 +295,10 @@ def test_a_pitched_road_within_the_prior_is_found_and_a_wall_is_not(rng):
     tilted = pitched(0.08) / 1.6
     depths, _, _ = road_depths(rng, planes=[tilted])
     free = np.ones(len(depths), bool)
-    fit = ground.find_ground(depths, free, FRESH, RULES, rng)
+    fit = find(depths, free, FRESH, rng)
     assert fit.plane @ tilted / np.linalg.norm(tilted) ** 2 == pytest.approx(1, abs=0.03)
     walls, _, _ = road_depths(rng, planes=CANYON[1:3])
-    fit = ground.find_ground(walls, np.ones(len(walls), bool), FRESH, RULES, rng)
+    fit = find(walls, np.ones(len(walls), bool), FRESH, rng)
     assert fit is None or FRESH.distance(fit.plane[None])[0] < 9
 
 
@@ -298,7 +309,7 @@ def test_what_lies_below_speaks_against_a_ground(rng):
     rho = np.where(table, 2 * depths.rho, depths.rho)
     prior = GroundPrior(UP, 0.02, 2 / 1.6, 0.02)
     mixed = replace(depths, rho=rho)
-    assert ground.find_ground(mixed, np.ones(len(rho), bool), prior, RULES, rng) is None
+    assert find(mixed, np.ones(len(rho), bool), prior, rng) is None
 
 
 def test_a_ground_nobody_knows_is_not_found_among_vectors_that_lie_anywhere(rng):
@@ -309,32 +320,32 @@ def test_a_ground_nobody_knows_is_not_found_among_vectors_that_lie_anywhere(rng)
         wrong = rng.uniform(size=len(depths)) < share
         mixed = replace(depths, rho=np.where(wrong, anywhere, depths.rho))[kept]
         free = np.ones(len(kept), bool)
-        assert (ground.find_ground(mixed, free, FRESH, RULES, rng) is not None) is is_found
+        assert (find(mixed, free, FRESH, rng) is not None) is is_found
         known = GroundPrior(UP, 0.02, 1 / 1.6, 0.05)
-        assert ground.find_ground(mixed, free, known, RULES, rng) is not None
+        assert find(mixed, free, known, rng) is not None
 
 
 def test_too_few_blocks_are_no_ground(rng):
     depths, surface, _ = road_depths(rng)
     free = np.zeros(len(depths), bool)
-    assert ground.find_ground(depths, free, FRESH, RULES, rng) is None
+    assert find(depths, free, FRESH, rng) is None
     free[np.flatnonzero(surface == 0)[-(RULES.min_macroblocks - 1):]] = True
-    assert ground.find_ground(depths, free, FRESH, RULES, rng) is None
-    assert ground.find_ground(depths[free[:0]], free[:0], FRESH, RULES, rng) is None
+    assert find(depths, free, FRESH, rng) is None
+    assert find(depths[free[:0]], free[:0], FRESH, rng) is None
 
 
 def test_a_road_whose_depths_are_all_blurred_is_no_ground(rng):
     depths, _, _ = road_depths(rng)
     blurred = replace(depths, sigma=0.2 * np.maximum(depths.rho, 0.01))
     with np.errstate(all='raise'):
-        assert ground.find_ground(blurred, np.ones(len(depths), bool), FRESH, RULES, rng) is None
+        assert find(blurred, np.ones(len(depths), bool), FRESH, rng) is None
 
 
 def test_a_road_far_from_where_it_was_is_not_believed(rng):
     depths, _, _ = road_depths(rng)
     elsewhere = GroundPrior(UP, 0.02, 2 / 1.6, 0.05)
     free = np.ones(len(depths), bool)
-    assert ground.find_ground(depths, free, elsewhere, RULES, rng) is None
+    assert find(depths, free, elsewhere, rng) is None
 
 
 @pytest.mark.parametrize(('t', 'course'), [
@@ -346,8 +357,10 @@ def test_the_course_is_where_the_camera_goes_or_comes_from_if_it_sees_that(t, co
 
 def test_the_road_lies_along_the_course_not_along_the_axis():
     rays = np.array([[-1.0, 0.3, 1.0], [0.5, 0.3, 1.0], [-0.3, 0.3, 1.0], [-0.3, 0.02, 1.0]])
-    _, by_axis = ground.corridor(rays, UP)
-    _, by_course = ground.corridor(rays, UP, np.array([-0.3, 0.0, 1.0]))
+    near, none = np.full(4, 0.2), np.zeros(4, bool)
+    by_axis, by_course = (compiled.find_way(
+        rays, near, 0.1 * near, 300 * rays[:, :2], ~none, none, near, UP, course, 0.0,
+        ground.POLICY)[1] for course in (ground.AXIS, np.array([-0.3, 0.0, 1.0])))
     np.testing.assert_array_equal(by_axis, [False, True, True, False])
     np.testing.assert_array_equal(by_course, [True, False, True, False])
 
@@ -357,15 +370,15 @@ def test_cars_beside_the_road_do_not_teach_a_height_of_their_own(rng):
     x = np.stack(np.meshgrid(np.arange(-160, 160, 16), np.arange(16, 80, 16)), -1).reshape(-1, 2)
     rays = np.c_[x / 400, np.ones(len(x))]
     rho = np.full(len(x), 0.06) * (1 + 0.03 * rng.standard_normal(len(x)))
-    inlier, parallax = np.ones(len(x), bool), rng.uniform(6, 12, len(x))
+    none, parallax = np.zeros(len(x), bool), rng.uniform(6, 12, len(x))
     sigma = 0.03 * rho
-    evidence = Evidence(np.zeros(len(x)), inlier, rho, sigma, sigma, parallax, ~inlier, ~inlier)
     spreads = []
     for shape in (rays[:, 1] / 0.1, np.ones(len(x))):
         depths = Depths(rays, rho * shape, sigma * shape, x + 500.0)
         belief, *_ = ground.survey(
-            depths, np.full(len(x), 0.3), replace(evidence, rho=depths.rho), ~inlier,
-            replace(FRESH, tilt=0.01), height.HeightBelief.blank(), 3.0, 0.0, True)
+            depths, Vectors(np.full(len(x), 0.3), observed(depths, parallax), none),
+            replace(FRESH, tilt=0.01), height.HeightBelief.blank(), Ride(ground.AXIS, 0.0, True),
+            3.0)
         spreads.append(belief.spread)
     assert spreads[0] < 0.6
     assert spreads[1] > 1.5
@@ -381,7 +394,7 @@ def test_blocks_far_to_the_side_do_not_tilt_the_ground(rng):
     rho = rays[:, 1] / height
     depths = Depths(rays, rho, 0.03 * rho, 500 * rays[:, :2] + 500)
     rules = Rules(3.0, 20, 256, 96.0, 8, 0.2)
-    fit = ground.find_ground(depths, np.ones(len(rho), bool), GroundPrior(up, 0.07), rules,
-                             rng)
+    fit = find(depths, np.ones(len(rho), bool), GroundPrior(up, 0.07), rng,
+               rules=rules)
     np.testing.assert_allclose(fit.plane, up / 1.65, atol=1e-3)
     assert not (fit.member & aside).any()

@@ -1,7 +1,8 @@
 """Blocks of bodies against blocks of a road: a drawn car, a drawn road, wrong vectors."""
 
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.surfaces.consensus import Depths
-from mv_slapse.surfaces.upright import on_bodies
+from mv_slapse.surfaces.ground import POLICY
 import numpy as np
 import pytest
 
@@ -14,6 +15,10 @@ CAR = (X[:, 0] > 200) & (X[:, 0] < 300) & (X[:, 1] > 20) & (X[:, 1] < 80)
 
 def depths(rho, noise=0.05):
     return Depths(np.c_[X / FOCAL, np.ones(len(X))], rho, noise * np.abs(rho), X)
+
+
+def on_bodies(depths, drop, known):
+    return compiled.on_bodies(*depths.columns, drop, known, POLICY)
 
 
 def found(rho, known=None, noise=0.05):

@@ -1,0 +1,439 @@
+// The ground of a pair: its height by the blocks on the camera's way, and its plane. The reasons
+// for the rules stand in surfaces/ground.py, surfaces/height.py and surfaces/upright.py.
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "depths.hpp"
+#include "lattice.hpp"
+
+namespace kernels {
+namespace {
+
+constexpr double PI = 3.14159265358979323846;
+
+double median(std::vector<double>& values) {
+  const auto middle = values.begin() + values.size() / 2;
+  std::nth_element(values.begin(), middle, values.end());
+  if (values.size() % 2) return *middle;
+  return 0.5 * (*std::max_element(values.begin(), middle) + *middle);
+}
+
+// Rays, inverse depths, their standard deviations and pixels of N blocks.
+struct Depths {
+  In<double> ray, rho, sigma, x;
+
+  Depths(const char* name, const py::object& rays, const py::object& rhos,
+         const py::object& sigmas, const py::object& pixels)
+      : ray(name, "rays", rays, {ANY, 3}, Check::finite),
+        rho(name, "rho", rhos, {ray.size()}, Check::finite),
+        sigma(name, "sigma", sigmas, {ray.size()}, Check::finite),
+        x(name, "x", pixels, {ray.size(), 2}, Check::finite) {}
+  int size() const { return static_cast<int>(ray.size()); }
+  double along(int i, const Vec3& v) const {
+    return ray(i, 0) * v[0] + ray(i, 1) * v[1] + ray(i, 2) * v[2];
+  }
+};
+
+// The corridor before the camera: what rays fall on the way of one unit, and which meet the road.
+struct Corridor {
+  Vec3 normal, across;
+  double wide, least;
+
+  Corridor(const Vec3& up, const Vec3& course, const py::dict& is)
+      : normal(up), across(cross(up, course)), wide(policy(is, "corridor")),
+        least(policy(is, "min_drop")) {
+    across = (1 / norm(across)) * across;
+  }
+  double drop(const Depths& depths, int i) const { return -depths.along(i, normal); }
+  bool holds(const Depths& depths, int i) const {
+    const double falls = drop(depths, i);
+    return falls > least && std::abs(depths.along(i, across)) < wide * falls;
+  }
+};
+
+// Marks the blocks that rise from the road: with the one above or below them they are likelier
+// upright, of one depth, than level.
+void mark_bodies(const Depths& depths, const std::vector<double>& drop,
+                 const std::vector<int>& known, const py::dict& is, std::vector<char>& body) {
+  const double size = policy(is, "macroblock"), beside = policy(is, "beside"),
+               low = policy(is, "above_least"), high = policy(is, "above_most"),
+               relief = policy(is, "body_relief"), stray = policy(is, "stray"),
+               sure = policy(is, "upright_sure");
+  std::vector<double> x;
+  for (const int i : known) x.insert(x.end(), {depths.x(i, 0), depths.x(i, 1)});
+  const Cells cells(x.data(), static_cast<int>(known.size()));
+  const int reach = static_cast<int>(std::ceil(high)), wide = static_cast<int>(std::ceil(beside));
+  std::vector<int> begin(static_cast<std::size_t>(cells.columns) * cells.rows + 1), member(known);
+  for (int i = 0; i < cells.size(); ++i) ++begin[cells.at(i) + 1];
+  std::partial_sum(begin.begin(), begin.end(), begin.begin());
+  std::vector<int> next(begin);
+  for (int i = 0; i < cells.size(); ++i) member[next[cells.at(i)]++] = known[i];
+  for (int k = 0; k < cells.size(); ++k) {
+    const int upper = known[k];
+    for (int row = cells.row[k]; row <= std::min(cells.row[k] + reach, cells.rows - 1); ++row)
+      for (int column = std::max(cells.column[k] - wide, 0);
+           column <= std::min(cells.column[k] + wide, cells.columns - 1); ++column)
+        for (int m = begin[row * cells.columns + column];
+             m < begin[row * cells.columns + column + 1]; ++m) {
+          const int lower = member[m];
+          const double aside = std::abs(depths.x(lower, 0) - depths.x(upper, 0)) / size,
+                       up = (depths.x(lower, 1) - depths.x(upper, 1)) / size;
+          if (!(aside <= beside && up >= low && up <= high)) continue;
+          const double a = depths.rho[upper], b = depths.rho[lower];
+          const double rough = relief * std::max(a, b);
+          const double variance = depths.sigma[lower] * depths.sigma[lower] +
+                                  depths.sigma[upper] * depths.sigma[upper] + rough * rough;
+          const double level = a - b * drop[upper] / drop[lower], upright = a - b;
+          if (std::exp(-0.5 * upright * upright / variance) + stray >
+              sure * (std::exp(-0.5 * level * level / variance) + stray))
+            body[lower] = body[upper] = 1;
+        }
+  }
+}
+
+// Which blocks (N,) lie on the camera's way and may be road, which lie in its corridor, what each
+// ray falls (N,), the largest height that the scene allows, and the scene's median parallax.
+py::tuple find_way(const py::object& rays, const py::object& rho, const py::object& sigma,
+                   const py::object& x, const py::object& inlier, const py::object& unsupported,
+                   const py::object& parallax, const py::object& normal, const py::object& course,
+                   double turn, const py::dict& is) {
+  const char* name = "find_way";
+  const Depths depths(name, rays, rho, sigma, x);
+  const int n = depths.size();
+  const In<bool> fits(name, "inlier", inlier, {n}), lone(name, "unsupported", unsupported, {n});
+  const In<double> length(name, "parallax", parallax, {n}, Check::finite);
+  const Corridor road(vector3(name, "normal", normal), vector3(name, "course", course), is);
+  const double blur = policy(is, "max_blur"), around = policy(is, "around");
+  std::vector<double> drop(n), distance, lengths;
+  std::vector<char> body(n);
+  std::vector<int> known;
+  for (int i = 0; i < n; ++i) {
+    drop[i] = road.drop(depths, i);
+    if (!fits[i] || !(depths.rho[i] > 0)) continue;
+    if (drop[i] > road.least) known.push_back(i);
+    if (lone[i]) continue;
+    lengths.push_back(length[i]);
+    if (depths.sigma[i] < blur * depths.rho[i]) distance.push_back(1 / depths.rho[i]);
+  }
+  mark_bodies(depths, drop, known, is, body);
+  Out<bool> way({n}), ahead({n});
+  Out<double> falls({n});
+  for (int i = 0; i < n; ++i) {
+    falls[i] = drop[i];
+    ahead[i] = road.holds(depths, i);
+    way[i] = ahead[i] && depths.rho[i] > turn / around && !body[i];
+  }
+  const double ceiling = static_cast<double>(distance.size()) >= policy(is, "min_depths")
+                             ? median(distance) : policy(is, "most");
+  return py::make_tuple(way.array(), ahead.array(), falls.array(), ceiling,
+                        lengths.empty() ? 0.0 : median(lengths));
+}
+
+// A belief of log(height) on a grid (G,) after blocks of a road, right and wrong ones; what one
+// tells counts less the more blocks lie about it.
+py::object see_height(const py::object& belief, const py::object& grid, const py::object& rho,
+                      const py::object& sigma, const py::object& x, const py::object& drop,
+                      const py::object& error, const py::object& pixel, const py::object& parallax,
+                      const py::object& way, double tilt, double least, double ceiling,
+                      const py::dict& is) {
+  const char* name = "see_height";
+  const In<double> prior(name, "belief", belief, {ANY}, Check::finite);
+  const auto cells = prior.size();
+  const In<double> logs(name, "grid", grid, {cells}, Check::finite);
+  const In<double> depth(name, "rho", rho, {ANY}, Check::finite);
+  const auto n = depth.size();
+  const In<double> blur(name, "sigma", sigma, {n}, Check::finite);
+  const In<double> pixels(name, "x", x, {n, 2}, Check::finite);
+  const In<double> falls(name, "drop", drop, {n}, Check::finite);
+  const In<double> off(name, "error", error, {n}), noise(name, "pixel", pixel, {n});
+  const In<double> length(name, "parallax", parallax, {n});
+  const In<bool> on_way(name, "way", way, {n});
+  const double gate = policy(is, "gate"), isotropy = policy(is, "isotropy"),
+               relief = policy(is, "relief"), blurred = policy(is, "blurred"),
+               apart = policy(is, "apart"), sites = policy(is, "sites");
+  std::vector<int> possible;
+  std::vector<double> wrong, passing;  // log(length) of wrong vectors, and how many pass for right
+  double total = 0;
+  for (int i = 0; i < n; ++i) {
+    if (!on_way[i] || !(length[i] > least)) continue;
+    if (std::abs(off[i]) < gate && depth[i] > 0) possible.push_back(i);
+    if (!(std::abs(off[i]) > gate)) continue;
+    const double chance = std::asin(std::min(gate * noise[i] / length[i], 1.0)) / PI;
+    passing.push_back(chance / (1 - 2 * std::min(chance, 0.4)));
+    wrong.push_back(std::log(length[i]));
+    total += passing.back();
+  }
+  if (possible.empty()) return py::none();
+  const double right = std::clamp(1 - total / static_cast<double>(possible.size()),
+                                  policy(is, "right_least"), policy(is, "right_most"));
+  std::vector<double> heights(cells), sums(cells);
+  for (py::ssize_t g = 0; g < cells; ++g) heights[g] = std::exp(-logs[g]);
+  for (const int i : possible) {
+    double stray = 1.0 / 6;  // one more of any length, over the six units that lengths have
+    for (std::size_t j = 0; j < wrong.size(); ++j) {
+      const double gap = (std::log(length[i]) - wrong[j]) / isotropy;
+      stray += std::exp(-0.5 * gap * gap) / (std::sqrt(2 * PI) * isotropy) * passing[j];
+    }
+    stray /= total + 1;
+    int near = 0;
+    for (const int j : possible)
+      near += std::abs(pixels(i, 0) - pixels(j, 0)) < apart &&
+              std::abs(pixels(i, 1) - pixels(j, 1)) < apart;
+    const double share = 1 / (sites * near), rough = std::hypot(relief, tilt / falls[i]);
+    const double nothing = share * std::log(1 - right);
+    for (py::ssize_t g = 0; g < cells; ++g) {
+      const double expected = falls[i] * heights[g];
+      const double variance =
+          blur[i] * blur[i] + rough * rough * expected * expected;
+      if (variance > blurred * blurred * expected * expected) continue;
+      const double miss = depth[i] - expected, squared = miss * miss / variance;
+      if (squared > 64) {  // 8 sigma: the density is below rounding
+        sums[g] += nothing;
+        continue;
+      }
+      const double density =
+          std::exp(-0.5 * squared) * expected / (std::sqrt(2 * PI) * std::sqrt(variance));
+      sums[g] += share * std::log(1 - right + right * density / stray);
+    }
+  }
+  double most = -INFINITE;
+  for (py::ssize_t g = 0; g < cells; ++g) {
+    sums[g] = logs[g] < std::log(ceiling) ? sums[g] + std::log(prior[g]) : -INFINITE;
+    most = std::max(most, sums[g]);
+  }
+  Out<double> after({cells});
+  double all = 0;
+  for (py::ssize_t g = 0; g < cells; ++g) {
+    after[g] = std::isfinite(most) ? std::exp(sums[g] - most) : 1.0;
+    all += after[g];
+  }
+  for (py::ssize_t g = 0; g < cells; ++g) after[g] /= all;
+  return after.array();
+}
+
+// A belief (G,) in the next baseline: moved by log_ratio, spread by sigma, both in steps, and
+// mixed with a share `leak` of knowing nothing.
+py::array_t<double> move_height(const py::object& belief, double steps, double width,
+                                double leak) {
+  const In<double> was("move_height", "belief", belief, {ANY}, Check::finite);
+  const int n = static_cast<int>(was.size()), reach = static_cast<int>(std::ceil(3 * width));
+  std::vector<double> moved(n), kernel(2 * reach + 1);
+  for (int i = 0; i < n; ++i) {
+    const double at = i + steps;
+    const int low = static_cast<int>(std::floor(std::clamp(at, -1.0, static_cast<double>(n))));
+    const double part = at - low;
+    if (low >= 0 && low + 1 < n) moved[i] = was[low] * (1 - part) + was[low + 1] * part;
+    if (low == n - 1 && part == 0) moved[i] = was[low];
+  }
+  double total = 0;
+  for (int k = -reach; k <= reach; ++k)
+    total += kernel[k + reach] = std::exp(-0.5 * (k / width) * (k / width));
+  Out<double> after({n});
+  double left = 0;
+  for (int i = 0; i < n; ++i) {
+    for (int k = std::max(-reach, i - n + 1); k <= std::min(reach, i); ++k)
+      after[i] += moved[i - k] * kernel[k + reach] / total;
+    left += after[i];
+  }
+  for (int i = 0; i < n; ++i)
+    after[i] = (1 - leak) * after[i] + (1 - (1 - leak) * left) / n;
+  return after.array();
+}
+
+// What is expected of the ground: unit normal, its deviation [rad], 1 / d, deviation of log(d).
+struct Prior {
+  Vec3 normal;
+  double tilt, inverse_depth, spread;
+
+  // Squared Mahalanobis distance of a plane; what faces down is far off.
+  double distance(const Vec3& plane) const {
+    const double length = norm(plane);
+    const double angle = std::acos(std::clamp(dot(plane, normal) / length, -1.0, 1.0)) / tilt;
+    const double size = std::isinf(spread) ? 0 : std::log(length / inverse_depth) / spread;
+    return angle * angle + size * size;
+  }
+  // Mean and information about a plane; the latter counts for `dependence` blocks.
+  Gaussian information(const Vec3& plane, double dependence) const {
+    const double length = norm(plane), known = inverse_depth * spread;
+    const double radial = std::isinf(spread) ? 0 : 1 / (known * known);
+    const double tangential = 1 / (length * tilt * length * tilt);
+    Gaussian out{(std::isinf(spread) ? length : inverse_depth) * normal, {}};
+    for (int i = 0; i < 9; ++i) {
+      const double along = normal[i / 3] * normal[i % 3];
+      out.covariance[i] = dependence * (tangential * (IDENTITY[i] - along) + radial * along);
+    }
+    return out;
+  }
+};
+
+// Planes that blocks propose: level ones through one block, then tilted ones through three that
+// lie within a radius of each other. Draws (T, 10) are uniform in 0 to 1.
+std::vector<Vec3> proposals(const Depths& depths, const std::vector<int>& sample,
+                            const Prior& prior, double radius, const In<double>& draws) {
+  const int n = static_cast<int>(sample.size());
+  std::vector<int> order(sample);
+  std::stable_sort(order.begin(), order.end(),
+                   [&](int a, int b) { return depths.x(a, 0) < depths.x(b, 0); });
+  std::vector<double> sorted;
+  for (const int i : order) sorted.push_back(depths.x(i, 0));
+  std::vector<Vec3> out;
+  for (py::ssize_t trial = 0; trial < draws.size(); ++trial) {
+    const int i = sample[static_cast<int>(draws(trial, 0) * n)];
+    out.push_back((-depths.rho[i] / depths.along(i, prior.normal)) * prior.normal);
+  }
+  for (py::ssize_t trial = 0; trial < draws.size(); ++trial) {
+    const int first = sample[static_cast<int>(draws(trial, 1) * n)];
+    const auto low = std::lower_bound(sorted.begin(), sorted.end(), depths.x(first, 0) - radius),
+               high = std::upper_bound(sorted.begin(), sorted.end(), depths.x(first, 0) + radius);
+    int triple[3] = {first, -1, -1}, far[2], found = 1, missed = 0;
+    for (int k = 2; k < 10 && found < 3; ++k) {
+      const int other = order[low - sorted.begin() +
+                              static_cast<int>(draws(trial, k) * static_cast<double>(high - low))];
+      if (std::abs(depths.x(other, 1) - depths.x(first, 1)) <= radius)
+        triple[found++] = other;
+      else if (missed < 2)
+        far[missed++] = other;
+    }
+    for (int k = 0; found < 3; ++k) triple[found++] = far[k];
+    Vec3 row[3];
+    for (int k = 0; k < 3; ++k)
+      row[k] = {depths.ray(triple[k], 0), depths.ray(triple[k], 1), depths.ray(triple[k], 2)};
+    const Vec3 a = cross(row[1], row[2]), b = cross(row[2], row[0]), c = cross(row[0], row[1]);
+    const double determinant = dot(row[0], a);
+    if (!(std::abs(determinant) > 1e-6)) continue;  // three rays in a plane
+    out.push_back((-1 / determinant) * (depths.rho[triple[0]] * a + depths.rho[triple[1]] * b +
+                                        depths.rho[triple[2]] * c));
+  }
+  return out;
+}
+
+// How many positive values at most differ by less than a share.
+int most_alike(std::vector<double> values, double share) {
+  for (double& value : values) value = std::log(value);
+  std::sort(values.begin(), values.end());
+  std::size_t most = 0, last = 0;
+  for (std::size_t first = 0; first < values.size(); ++first) {
+    while (last < values.size() && values[last] < values[first] + share) ++last;
+    most = std::max(most, last - first);
+  }
+  return static_cast<int>(most);
+}
+
+// Finds the ground among free blocks: (plane, covariance, member (N,)), or None.
+py::object find_ground(const py::object& rays, const py::object& rho, const py::object& sigma,
+                       const py::object& x, const py::object& free, const py::object& lone,
+                       const py::object& normal, const py::tuple& expected,
+                       const py::object& draws, const py::dict& is) {
+  const char* name = "find_ground";
+  const Depths depths(name, rays, rho, sigma, x);
+  const int n = depths.size();
+  const In<bool> may(name, "free", free, {n}), shown(name, "lone", lone, {n});
+  const In<double> drawn(name, "draws", draws, {ANY, 10}, Check::finite);
+  const Prior prior{vector3(name, "normal", normal), expected[0].cast<double>(),
+                    expected[1].cast<double>(), expected[2].cast<double>()};
+  const bool known = prior.spread < policy(is, "sure");
+  const double least = std::floor(policy(is, "min_macroblocks") / (known ? 4 : 1));
+  const double blur = policy(is, "max_blur"), cut = policy(is, "cut");
+  const Corridor corridor(prior.normal, {0, 0, 1}, is);
+  std::vector<int> sample;
+  for (int i = 0; i < n; ++i)
+    if (may[i] && depths.rho[i] > 0 && corridor.holds(depths, i)) sample.push_back(i);
+  const Cells cells(depths.x.data(), n);
+  Components components(cells);
+  if (sample.empty() || components.count(sample) < least) return py::none();
+  const auto expects = [&](int i, const Vec3& plane) { return -depths.along(i, plane); };
+  // Least truncated squared error, in outliers, with the prior's distance.
+  Vec3 plane{};
+  double cost = INFINITE;
+  for (const Vec3& proposed : proposals(depths, sample, prior, 4 * policy(is, "radius"), drawn)) {
+    const double away = prior.distance(proposed);
+    if (!(away < 9)) continue;  // 3 sigma
+    double sum = away * cut * cut;
+    for (std::size_t k = 0; k < sample.size() && sum < cost; ++k) {
+      const int i = sample[k];
+      const double should = expects(i, proposed);
+      const double error = (depths.rho[i] - should) / depths.sigma[i];
+      sum += depths.sigma[i] > blur * should ? cut * cut : std::min(error * error, cut * cut);
+    }
+    if (sum < cost) {
+      cost = sum;
+      plane = proposed;
+    }
+  }
+  if (std::isinf(cost)) return py::none();
+  const auto is_sharp = [&](int i) {
+    return depths.sigma[i] < blur * std::max(expects(i, plane), 1e-9);
+  };
+  Gaussian fit{};
+  for (int round = 0; round < 2; ++round) {
+    std::vector<int> sharp, number;
+    for (const int i : sample)
+      if (is_sharp(i)) sharp.push_back(i);
+    if (components.count(sharp) < least) return py::none();
+    Whitened blocks;
+    blocks.resize(static_cast<int>(sharp.size()));
+    for (int k = 0; k < blocks.n; ++k) {
+      for (int j = 0; j < 3; ++j) blocks.ray[j][k] = depths.ray(sharp[k], j) / depths.sigma[sharp[k]];
+      blocks.rho[k] = depths.rho[sharp[k]] / depths.sigma[sharp[k]];
+      number.push_back(k);
+    }
+    const Gaussian before = prior.information(plane, policy(is, "ground_dependence"));
+    fit = refined(blocks, number, plane, 0.25, 5, &before);
+    plane = fit.plane;
+  }
+  std::vector<int> agree;
+  std::vector<double> below;
+  int disagree = 0;
+  Out<bool> member({n});
+  for (const int i : sample) {
+    const double should = expects(i, plane), error = (depths.rho[i] - should) / depths.sigma[i];
+    if (error < -cut) below.push_back(depths.rho[i] / should);
+    disagree += std::abs(error) > cut;
+    if (!is_sharp(i) || !(std::abs(error) < cut)) continue;
+    agree.push_back(i);
+    member[i] = shown[i];
+  }
+  const int smallest = static_cast<int>(policy(is, "min_macroblocks")) / 4;
+  for (const int i : components.large(agree, smallest)) member[i] = true;
+  std::vector<int> own;
+  for (const int i : agree)
+    if (member[i]) own.push_back(i);
+  const int speaks = known ? most_alike(below, policy(is, "alike")) : disagree;
+  if (components.count(own) < least || speaks > static_cast<int>(own.size()) ||
+      prior.distance(plane) > 9)
+    return py::none();
+  Out<double> found({3}), covariance({3, 3});
+  std::copy(plane.begin(), plane.end(), found.data());
+  std::copy(fit.covariance.begin(), fit.covariance.end(), covariance.data());
+  return py::make_tuple(found.array(), covariance.array(), member.array());
+}
+
+}  // namespace
+}  // namespace kernels
+
+void bind_ground(pybind11::module_& module) {
+  using namespace kernels;
+  // Which of the known blocks (N,), that fall by `drop` (N,), rise from the road.
+  module.def("on_bodies", [](const py::object& rays, const py::object& rho,
+                             const py::object& sigma, const py::object& x, const py::object& drop,
+                             const py::object& known, const py::dict& is) {
+    const Depths depths("on_bodies", rays, rho, sigma, x);
+    const int n = depths.size();
+    const In<double> falls("on_bodies", "drop", drop, {n}, Check::finite);
+    const In<bool> may("on_bodies", "known", known, {n});
+    std::vector<int> which;
+    for (int i = 0; i < n; ++i)
+      if (may[i] && depths.rho[i] > 0) which.push_back(i);
+    std::vector<char> body(n);
+    mark_bodies(depths, std::vector<double>(falls.data(), falls.data() + n), which, is, body);
+    Out<bool> out({n});
+    std::copy(body.begin(), body.end(), out.data());
+    return out.array();
+  });
+  module.def("find_way", find_way);
+  module.def("see_height", see_height);
+  module.def("move_height", move_height);
+  module.def("find_ground", find_ground);
+}

@@ -1,0 +1,723 @@
+// Stationary planes of a pair: windows of the lattice propose planes, and planes are chosen one
+// after another by the blocks that each explains and none before it does. The reasons for the
+// rules stand in surfaces/plane_search.py and surfaces/windows.py.
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "depths.hpp"
+#include "lattice.hpp"
+
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__SANITIZE_ADDRESS__)
+#define FOR_EACH_PROCESSOR __attribute__((target_clones("avx2", "default")))
+#else
+#define FOR_EACH_PROCESSOR
+#endif
+
+namespace kernels {
+namespace {
+
+KERNELS_INLINE Four broadcast(double x) { return Four{} + x; }
+constexpr int STEP = static_cast<int>(LANES);
+
+struct Policy {
+  double cut, max_excess, max_blur, roughness, density, vague, fading;  // of planes
+  double least, cap, lean, dependence, reach, upright_gate, noise_least;  // of windows
+  double same_gate, min_macroblocks;
+  int judged;
+
+  explicit Policy(const py::dict& d)
+      : cut(policy(d, "cut")), max_excess(policy(d, "max_excess")),
+        max_blur(policy(d, "max_blur")), roughness(policy(d, "roughness")),
+        density(policy(d, "density")), vague(policy(d, "vague")), fading(policy(d, "fading")),
+        least(policy(d, "least")), cap(policy(d, "cap")), lean(policy(d, "lean")),
+        dependence(policy(d, "dependence")), reach(policy(d, "reach")),
+        upright_gate(policy(d, "upright_gate")), noise_least(policy(d, "noise_least")),
+        same_gate(policy(d, "same_gate")), min_macroblocks(policy(d, "min_macroblocks")),
+        judged(static_cast<int>(policy(d, "judged"))) {}
+};
+
+// Makes a plane upright where it may be, for what is known of it.
+Gaussian upright(const Gaussian& plane, const Vec3& up, const Policy& is) {
+  const Vec3 toward = plane.covariance * up;
+  const double variance =
+      dot(toward, up) + is.lean * is.lean * dot(plane.plane, plane.plane) / is.dependence;
+  const double off = dot(plane.plane, up);
+  if (!(off * off < is.upright_gate * is.dependence * variance)) return plane;
+  Gaussian out = plane;
+  for (int i = 0; i < 3; ++i) {
+    out.plane[i] -= toward[i] * off / variance;
+    for (int j = 0; j < 3; ++j) out.covariance[3 * i + j] -= toward[i] * toward[j] / variance;
+  }
+  return out;
+}
+
+// Squared Mahalanobis distance of two planes, each with its covariance.
+double distance(const Gaussian& a, const Gaussian& b) {
+  Mat3 sum, information;
+  for (int i = 0; i < 9; ++i) sum[i] = a.covariance[i] + b.covariance[i];
+  if (!inverse(sum, information)) return INFINITE;
+  const Vec3 off = b.plane - a.plane;
+  return dot(off, information * off);
+}
+
+// Mean of two estimates of a plane, each by its information.
+Gaussian fused(const Gaussian& a, const Gaussian& b) {
+  Mat3 sum, information;
+  for (int i = 0; i < 9; ++i) sum[i] = a.covariance[i] + b.covariance[i];
+  if (!inverse(sum, information)) return a;
+  const Mat3 gain = a.covariance * information;
+  Gaussian out{a.plane + gain * (b.plane - a.plane), {}};
+  const Mat3 less = gain * a.covariance;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j)
+      out.covariance[3 * i + j] = 0.5 * (a.covariance[3 * i + j] - less[3 * i + j] +
+                                         a.covariance[3 * j + i] - less[3 * j + i]);
+  return out;
+}
+
+// Sums of the equations over blocks from first to last within reach of a centre.
+FOR_EACH_PROCESSOR
+Equations equations_near(const Whitened& blocks, const double* x, const double* y, int first,
+                         int last, const double* centre, double reach, const Vec3& plane,
+                         double softness) {
+  Four A[6] = {}, b[3] = {};
+  const Four one = broadcast(1), none = broadcast(0), far = broadcast(reach);
+  Four number = {0, 1, 2, 3};
+  for (int i = first; i < last; i += STEP) {
+    const Four r0 = load(&blocks.ray[0][i]), r1 = load(&blocks.ray[1][i]),
+                r2 = load(&blocks.ray[2][i]), rho = load(&blocks.rho[i]);
+    const Four dx = load(x + i) - centre[0], dy = load(y + i) - centre[1];
+    const Four error = r0 * plane[0] + r1 * plane[1] + r2 * plane[2] + rho;
+    const Four d = one + error * error * softness;
+    Four w = one / (d * d);
+    const auto inside = (dx < far) & (dx > -far) & (dy < far) & (dy > -far) &
+                        (number < broadcast(last - i));
+    w = inside ? w : none;
+    const Four w0 = w * r0, w1 = w * r1, w2 = w * r2;
+    A[0] += w0 * r0, A[1] += w0 * r1, A[2] += w0 * r2;
+    A[3] += w1 * r1, A[4] += w1 * r2, A[5] += w2 * r2;
+    b[0] -= w0 * rho, b[1] -= w1 * rho, b[2] -= w2 * rho;
+  }
+  Equations e;
+  e.A = {sum(A[0]), sum(A[1]), sum(A[2]), 0, sum(A[3]), sum(A[4]), 0, 0, sum(A[5])};
+  e.b = {sum(b[0]), sum(b[1]), sum(b[2])};
+  e.mirror();
+  return e;
+}
+
+// Squared errors of blocks on a plane.
+FOR_EACH_PROCESSOR
+void squared_errors(const Whitened& blocks, const Vec3& plane, double* out) {
+  for (int i = 0; i < blocks.n; ++i) {
+    const double error = blocks.error(i, plane);
+    out[i] = error * error;
+  }
+}
+
+// Sum of what gains have more than is taken already; both end with LANES zeros.
+FOR_EACH_PROCESSOR
+double sum_of_more(const double* gain, const double* taken, int n) {
+  Four total = broadcast(0);
+  for (int i = 0; i < n; i += STEP) {
+    const Four more = load(gain + i) - load(taken + i);
+    total += more > broadcast(0) ? more : broadcast(0);
+  }
+  return sum(total);
+}
+
+// What each block adds to a plane's equations: A row by row from the diagonal on, b, nothing.
+struct Terms {
+  Four A0, A1b, b2;
+};
+
+// Equations of some blocks, each weighted by its error on a plane; all alike where there is none.
+FOR_EACH_PROCESSOR
+Equations equations_of(const Whitened& blocks, const Terms* terms, const int* which, int n,
+                       const Vec3* plane, double softness) {
+  Four A0 = broadcast(0), A1b = broadcast(0), b2 = broadcast(0);
+  for (int k = 0; k < n; ++k) {
+    const int i = which[k];
+    double weight = 1;
+    if (plane) {
+      const double error = blocks.error(i, *plane), d = 1 + error * error * softness;
+      weight = 1 / (d * d);
+    }
+    A0 += terms[i].A0 * weight;
+    A1b += terms[i].A1b * weight;
+    b2 += terms[i].b2 * weight;
+  }
+  Equations e;
+  e.A = {A0[0], A0[1], A0[2], 0, A0[3], A1b[0], 0, 0, A1b[1]};
+  e.b = {A1b[2], A1b[3], b2[0]};
+  e.mirror();
+  return e;
+}
+
+struct Window {
+  int begin, end;  // of its members
+  bool is_tall;
+  int judged;  // blocks
+  double centre[2];
+  Vec3 plane;
+  double cost;
+};
+
+struct Track {
+  Gaussian now;
+  int before, seen;  // number of the known plane that it continues, or -1
+  std::vector<double> gain;
+};
+
+// Sharp stationary blocks, ordered by column of macroblocks and row, their windows, and what
+// planes explain of them.
+class Search {
+ public:
+  Search(const Policy& is, const Vec3& up, const std::vector<int>& sharp, const double* rays,
+         const double* rho, const double* sigma, const double* pixels);
+  bool look();
+  std::vector<Track> chosen(const std::vector<Gaussian>& known, const std::vector<int>& seen,
+                            int room);
+  Gaussian fit(const std::vector<int>& part, const Vec3& plane) const;
+  const std::vector<std::vector<int>>& parts() const { return parts_; }
+  const std::vector<int>& order() const { return order_; }
+
+ private:
+  void tile(int wide, int high, bool is_tall);
+  void fit_window(Window& window, const Mat3& basis);
+  void judge();
+  void gain_of(const Vec3& plane, std::vector<double>& gain);
+  std::vector<int> together(const std::vector<double>& gain);
+  void see_again(const std::vector<Gaussian>& known, const std::vector<int>& seen);
+  void find_new(int room);
+  Gaussian grown(const Window& window, int& first, int& last) const;
+  bool settled(Track& track, std::vector<int>& part);
+  void share_out(const std::vector<Gaussian>& known, const std::vector<int>& seen);
+  double more(const std::vector<int>& part, const std::vector<double>& gain) const;
+  bool is_plane(const Track& track, const std::vector<int>& part);
+  double share_of_outline(const std::vector<int>& part);
+  double least_gain() const { return 1.4 * is_.max_excess * is_.min_macroblocks; }
+
+  const Policy& is_;
+  const Vec3 up_;
+  std::vector<int> order_;
+  Whitened blocks_;
+  std::vector<double> x_, y_, squared_, taken_;
+  Cells cells_;
+  Components components_;
+  std::vector<Terms> terms_;
+  std::vector<int> cell_begin_;  // of each cell, by columns: first block in it or after it
+  std::vector<Window> windows_;
+  std::vector<int> members_, best_, judges_, asked_;
+  int now_ = 0;
+  std::vector<double> worse_;
+  std::vector<unsigned char> outline_, wider_;
+  std::vector<Track> found_;
+  std::vector<std::vector<int>> parts_;
+};
+
+// Numbers of blocks sorted by column of macroblocks, then by row.
+std::vector<int> by_column(const std::vector<int>& sharp, const double* pixels) {
+  std::vector<double> x;
+  for (const int i : sharp) x.insert(x.end(), {pixels[2 * i], pixels[2 * i + 1]});
+  const Cells cells(x.data(), static_cast<int>(sharp.size()));
+  std::vector<int> place(sharp.size()), order;
+  std::iota(place.begin(), place.end(), 0);
+  std::stable_sort(place.begin(), place.end(), [&](int a, int b) {
+    return std::pair(cells.column[a], cells.row[a]) < std::pair(cells.column[b], cells.row[b]);
+  });
+  for (const int i : place) order.push_back(sharp[i]);
+  return order;
+}
+
+std::vector<double> picked(const double* pixels, const std::vector<int>& order) {
+  std::vector<double> x;
+  for (const int i : order) x.insert(x.end(), {pixels[2 * i], pixels[2 * i + 1]});
+  return x;
+}
+
+Search::Search(const Policy& is, const Vec3& up, const std::vector<int>& sharp,
+               const double* rays, const double* rho, const double* sigma, const double* pixels)
+    : is_(is), up_(up), order_(by_column(sharp, pixels)),
+      cells_(picked(pixels, order_).data(), static_cast<int>(order_.size())),
+      components_(cells_) {
+  const int n = static_cast<int>(order_.size());
+  blocks_.resize(n);
+  for (auto* column : {&x_, &y_, &squared_, &taken_}) column->assign(n + STEP, 0.0);
+  for (int i = 0; i < n; ++i) {
+    const int from = order_[i];
+    for (int j = 0; j < 3; ++j) blocks_.ray[j][i] = rays[3 * from + j] / sigma[from];
+    blocks_.rho[i] = rho[from] / sigma[from];
+    x_[i] = pixels[2 * from];
+    y_[i] = pixels[2 * from + 1];
+  }
+  terms_.resize(n);
+  for (int i = 0; i < n; ++i) {
+    const double r0 = blocks_.ray[0][i], r1 = blocks_.ray[1][i], r2 = blocks_.ray[2][i];
+    const double c = -blocks_.rho[i];
+    terms_[i].A0 = Four{r0 * r0, r0 * r1, r0 * r2, r1 * r1};
+    terms_[i].A1b = Four{r1 * r2, r2 * r2, r0 * c, r1 * c};
+    terms_[i].b2 = Four{r2 * c, 0, 0, 0};
+  }
+  cell_begin_.assign(cells_.columns * cells_.rows + 1, 0);
+  for (int i = 0; i < n; ++i) ++cell_begin_[cells_.column[i] * cells_.rows + cells_.row[i] + 1];
+  std::partial_sum(cell_begin_.begin(), cell_begin_.end(), cell_begin_.begin());
+}
+
+// Lays windows that overlap by half, and keeps those that hold enough blocks.
+void Search::tile(int wide, int high, bool is_tall) {
+  const int across = wide / 2, down = high / 2;
+  for (int j = 0; j * down < cells_.rows; ++j)
+    for (int i = 0; i * across < cells_.columns; ++i) {
+      const int begin = static_cast<int>(members_.size());
+      const int row = j * down, end = std::min(j * down + high, cells_.rows);
+      double centre[2] = {0, 0};
+      for (int c = i * across; c < std::min(i * across + wide, cells_.columns); ++c)
+        for (int k = cell_begin_[c * cells_.rows + row]; k < cell_begin_[c * cells_.rows + end];
+             ++k) {
+          members_.push_back(k);
+          centre[0] += x_[k];
+          centre[1] += y_[k];
+        }
+      const int count = static_cast<int>(members_.size()) - begin;
+      if (count < is_.least) {
+        members_.resize(begin);
+        continue;
+      }
+      windows_.push_back({begin, begin + count, is_tall, 0,
+                          {centre[0] / count, centre[1] / count}, {}, 0});
+    }
+}
+
+// Fits a window's plane robustly. Tall windows are taken for walls: three columns know no slant.
+void Search::fit_window(Window& window, const Mat3& basis) {
+  const double softness = 1 / is_.cap;
+  Equations e;
+  for (int step = 0; step < 3; ++step) {
+    e = equations_of(blocks_, terms_.data(), &members_[window.begin], window.end - window.begin,
+                     step ? &window.plane : nullptr, softness);
+    e.ridge(10 * std::numeric_limits<double>::epsilon());
+    Mat3 L = e.A;
+    window.plane = e.b;
+    if (!cholesky(L.data(), 3)) {
+      window.plane = {};
+      break;
+    }
+    cholesky_solve(L.data(), 3, window.plane.data());
+  }
+  if (!window.is_tall) return;
+  double A[4], b[2];
+  for (int i = 0; i < 2; ++i) {
+    const Vec3 u{basis[i], basis[3 + i], basis[6 + i]}, Au = e.A * u;
+    for (int j = 0; j < 2; ++j)
+      A[2 * i + j] = Au[0] * basis[j] + Au[1] * basis[3 + j] + Au[2] * basis[6 + j];
+    b[i] = dot(e.b, u);
+  }
+  window.plane = {};
+  if (!cholesky(A, 2)) return;
+  cholesky_solve(A, 2, b);
+  for (int i = 0; i < 3; ++i) window.plane[i] = basis[3 * i] * b[0] + basis[3 * i + 1] * b[1];
+}
+
+// Lays windows and fits planes to them; false where no window holds enough blocks.
+bool Search::look() {
+  tile(5, 5, false);
+  tile(3, 9, true);
+  if (windows_.empty()) return false;
+  Vec3 values;
+  Mat3 across, basis;
+  for (int i = 0; i < 9; ++i) across[i] = IDENTITY[i] - up_[i / 3] * up_[i % 3];
+  eigen_symmetric(across, values, across);
+  for (int i = 0; i < 3; ++i) {
+    basis[3 * i] = across[3 * i + 1];
+    basis[3 * i + 1] = across[3 * i + 2];
+  }
+  std::vector<double> squared;
+  for (Window& window : windows_) {
+    fit_window(window, basis);
+    if (window.end - window.begin < 1.5 * is_.least || window.is_tall) continue;
+    for (int k = window.begin; k < window.end; ++k) {
+      const double error = blocks_.error(members_[k], window.plane);
+      squared.push_back(error * error);
+    }
+  }
+  double noise = 1;
+  if (!squared.empty()) {
+    const auto middle = squared.begin() + squared.size() / 2;
+    std::nth_element(squared.begin(), middle, squared.end());
+    const double below = squared.size() % 2 ? *middle : *std::max_element(squared.begin(), middle);
+    noise = std::clamp(std::sqrt(0.5 * (below + *middle) * is_.noise_least), 1.0, 4.0);
+  }
+  for (auto* column : {&blocks_.ray[0], &blocks_.ray[1], &blocks_.ray[2], &blocks_.rho})
+    for (double& value : *column) value /= noise;
+  judge();
+  return true;
+}
+
+// Lets each block be judged by the window around it whose own plane fits best.
+void Search::judge() {
+  std::vector<double> least(blocks_.n, INFINITE);
+  best_.assign(blocks_.n, -1);
+  for (int w = 0; w < static_cast<int>(windows_.size()); ++w) {
+    Window& window = windows_[w];
+    double cost = 0;
+    for (int k = window.begin; k < window.end; ++k) {
+      const double error = blocks_.error(members_[k], window.plane);
+      cost += std::min(error * error, is_.cap);
+    }
+    const int count = window.end - window.begin;
+    window.cost = cost / count;
+    const double total = window.cost + 3.0 / count;  // a plane takes three degrees of freedom
+    for (int k = window.begin; k < window.end; ++k)
+      if (total < least[members_[k]]) {
+        least[members_[k]] = total;
+        best_[members_[k]] = w;
+      }
+  }
+  for (const int w : best_)
+    if (w >= 0 && ++windows_[w].judged == is_.judged) judges_.push_back(w);
+  worse_.assign(windows_.size(), 0.0);
+  asked_.assign(windows_.size(), 0);
+}
+
+// How well a plane explains each block, from 0 to max_excess or more: how little worse than the
+// own plane of the window that judges it, where it is near to the block itself.
+void Search::gain_of(const Vec3& plane, std::vector<double>& gain) {
+  const double near = is_.cut * is_.cut;
+  squared_errors(blocks_, plane, squared_.data());
+  gain.assign(blocks_.n + STEP, 0.0);
+  ++now_;
+  for (int i = 0; i < blocks_.n; ++i) {
+    const int w = best_[i];
+    if (!(squared_[i] < near) || w < 0) continue;
+    if (std::exchange(asked_[w], now_) != now_) {
+      const Window& window = windows_[w];
+      double mean = 0;
+      for (int k = window.begin; k < window.end; ++k)
+        mean += std::min(squared_[members_[k]], is_.cap);
+      worse_[w] = mean / (window.end - window.begin) - window.cost;
+    }
+    gain[i] = std::max(is_.max_excess - worse_[w], 0.0);
+  }
+}
+
+// The largest connected part of what a plane explains better than others do; empty: no plane's.
+std::vector<int> Search::together(const std::vector<double>& gain) {
+  std::vector<int> better;
+  for (int i = 0; i < blocks_.n; ++i)
+    if (gain[i] > taken_[i]) better.push_back(i);
+  if (static_cast<int>(better.size()) < is_.least) return {};
+  better = components_.largest(better);
+  if (static_cast<int>(better.size()) < is_.least) better.clear();
+  return better;
+}
+
+// A plane of some blocks, with its covariance; their common errors count.
+Gaussian Search::fit(const std::vector<int>& part, const Vec3& plane) const {
+  Gaussian out = upright(refined(blocks_, part, plane, 0.25, 2), up_, is_);
+  for (double& value : out.covariance) value *= is_.dependence;
+  return out;
+}
+
+double Search::more(const std::vector<int>& part, const std::vector<double>& gain) const {
+  double sum = 0;
+  for (const int i : part) sum += gain[i] - taken_[i];
+  return sum;
+}
+
+// Finds known planes, the longest known first.
+void Search::see_again(const std::vector<Gaussian>& known, const std::vector<int>& seen) {
+  std::vector<int> order(known.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return seen[a] > seen[b]; });
+  for (const int before : order) {
+    Track track{known[before], before, seen[before], {}};
+    gain_of(track.now.plane, track.gain);
+    std::vector<int> part;
+    for (int step = 0; step < 2; ++step) {
+      part = together(track.gain);
+      if (part.empty()) break;
+      const Gaussian fitted = fit(part, track.now.plane);
+      if (!(distance(known[before], fitted) < is_.same_gate)) {
+        part.clear();
+        break;
+      }
+      track.now = fused(known[before], fitted);
+      track.seen = seen[before] + 1;
+      gain_of(track.now.plane, track.gain);
+    }
+    std::vector<int> kept;
+    for (const int i : part)
+      if (track.gain[i] > taken_[i]) kept.push_back(i);
+    if (more(kept, track.gain) < 0.5 * least_gain()) continue;
+    for (const int i : kept) taken_[i] = track.gain[i];
+    found_.push_back(std::move(track));
+  }
+}
+
+// Fits a window's plane to all blocks in reach, so that it settles on a whole surface.
+Gaussian Search::grown(const Window& window, int& first, int& last) const {
+  const int reach = static_cast<int>(is_.reach / 16) + 1;
+  const int column = cells_.column[members_[window.begin]];
+  first = cell_begin_[std::max(column - reach, 0) * cells_.rows];
+  last = cell_begin_[std::min(column + 5 + reach, cells_.columns) * cells_.rows];
+  Gaussian out{window.plane, {}};
+  for (const double softness : {0.25, 1.0, 1.0}) {
+    Equations e = equations_near(blocks_, x_.data(), y_.data(), first, last, window.centre,
+                                 is_.reach, out.plane, softness);
+    e.ridge(10 * std::numeric_limits<double>::epsilon());
+    if (!inverse(e.A, out.covariance)) break;
+    out.plane = out.covariance * e.b;
+    out = upright(out, up_, is_);
+  }
+  return out;
+}
+
+// Fits a plane to the connected blocks that it explains best, and again.
+bool Search::settled(Track& track, std::vector<int>& part) {
+  for (int step = 0; step < 2; ++step) {
+    part = together(track.gain);
+    if (part.empty()) return false;
+    track.now = fit(part, track.now.plane);
+    gain_of(track.now.plane, track.gain);
+  }
+  part = together(track.gain);
+  return more(part, track.gain) >= least_gain();
+}
+
+// Finds new planes, the one that explains most first: windows that judge enough blocks propose.
+void Search::find_new(int room) {
+  if (room <= 0) return;
+  std::vector<Track> proposed;
+  for (const int w : judges_) {
+    const Window& window = windows_[w];
+    int vacant = 0, first, last;
+    for (int k = window.begin; k < window.end; ++k) vacant += taken_[members_[k]] == 0;
+    if (2 * vacant <= window.end - window.begin) continue;
+    Track track{grown(window, first, last), -1, 1, {}};
+    gain_of(track.now.plane, track.gain);
+    for (int i = 0; i < blocks_.n; ++i)
+      if (std::abs(x_[i] - window.centre[0]) >= is_.reach ||
+          std::abs(y_[i] - window.centre[1]) >= is_.reach)
+        track.gain[i] = 0;
+    proposed.push_back(std::move(track));
+  }
+  const std::size_t before = found_.size();
+  for (int trial = 0; trial < 2 * room && found_.size() - before < static_cast<std::size_t>(room);
+       ++trial) {
+    Track* best = nullptr;
+    double most = least_gain();
+    for (Track& track : proposed) {
+      if (track.gain.empty()) continue;
+      const double more = sum_of_more(track.gain.data(), taken_.data(), blocks_.n);
+      if (more > most || (!best && more == most)) {
+        most = more;
+        best = &track;
+      }
+    }
+    if (!best) break;
+    Track track = std::move(*best);
+    best->gain.clear();
+    std::vector<int> part;
+    if (!settled(track, part)) continue;
+    for (const int i : part) taken_[i] = std::max(track.gain[i], taken_[i]);
+    found_.push_back(std::move(track));
+  }
+}
+
+// Gives each block to the plane that explains it best, and fits the planes again.
+void Search::share_out(const std::vector<Gaussian>& known, const std::vector<int>& seen) {
+  for (Track& track : found_) gain_of(track.now.plane, track.gain);
+  std::vector<std::vector<int>> own(found_.size());
+  for (int i = 0; i < blocks_.n; ++i) {
+    double most = 0;
+    int owner = -1;
+    for (std::size_t j = 0; j < found_.size(); ++j)
+      if (found_[j].gain[i] > most) {
+        most = found_[j].gain[i];
+        owner = static_cast<int>(j);
+      }
+    if (owner >= 0) own[owner].push_back(i);
+  }
+  parts_.assign(found_.size(), {});
+  for (std::size_t j = 0; j < found_.size(); ++j) {
+    Track& track = found_[j];
+    const double least = is_.least;
+    if (own[j].size() >= least) parts_[j] = components_.largest(own[j]);
+    if (parts_[j].size() < least) parts_[j].clear();
+    if (parts_[j].empty()) continue;
+    track.now = fit(parts_[j], track.now.plane);
+    if (track.before < 0) continue;
+    track.now = fused(known[track.before], track.now);
+    track.seen = seen[track.before] + 1;
+  }
+}
+
+// Which share of the blocks in a plane's outline is its own; the outline has no gaps of a cell.
+double Search::share_of_outline(const std::vector<int>& part) {
+  const int wide = cells_.columns + 4, high = cells_.rows + 4;
+  outline_.assign(wide * high, 0);
+  const auto cell = [&](int i) { return (cells_.row[i] + 2) * wide + cells_.column[i] + 2; };
+  for (const int i : part) outline_[cell(i)] = 1;
+  for (const bool grow : {true, false}) {  // dilation, then erosion, by 3 x 3 cells
+    wider_.assign(wide * high, 0);
+    for (int k = wide + 1; k < wide * (high - 1) - 1; ++k) {
+      int near = 0;
+      for (const int row : {-wide, 0, wide})
+        near += outline_[k + row - 1] + outline_[k + row] + outline_[k + row + 1];
+      wider_[k] = grow ? near > 0 : near == 9;
+    }
+    outline_.swap(wider_);
+  }
+  int inside = 0;
+  for (int i = 0; i < blocks_.n; ++i) inside += outline_[cell(i)];
+  int own = 0;
+  for (const int i : part) own += outline_[cell(i)];
+  return inside ? static_cast<double>(own) / inside : 0.0;
+}
+
+// Tells whether what remains of a plane is one: large, dense and well known.
+bool Search::is_plane(const Track& track, const std::vector<int>& part) {
+  const double least = is_.min_macroblocks * (track.before < 0 ? 1.0 : is_.fading);
+  return components_.count(part) >= least &&
+         std::sqrt(trace(track.now.covariance)) < is_.vague * norm(track.now.plane) &&
+         share_of_outline(part) >= is_.density;
+}
+
+std::vector<Track> Search::chosen(const std::vector<Gaussian>& known,
+                                  const std::vector<int>& seen, int room) {
+  see_again(known, seen);
+  find_new(room - static_cast<int>(found_.size()));
+  for (int round = 0; round < 2 && !found_.empty(); ++round) share_out(known, seen);
+  std::vector<Track> kept;
+  std::vector<std::vector<int>> parts;
+  for (std::size_t i = 0; i < found_.size(); ++i)
+    if (is_plane(found_[i], parts_[i])) {
+      kept.push_back(std::move(found_[i]));
+      parts.push_back(std::move(parts_[i]));
+    }
+  parts_ = std::move(parts);
+  return kept;
+}
+
+// Planes (K, 3) with covariances (K, 3, 3).
+struct Planes {
+  In<double> plane, covariance;
+
+  Planes(const char* kernel, const py::object& planes, const py::object& covariances)
+      : plane(kernel, "planes", planes, {ANY, 3}, Check::finite),
+        covariance(kernel, "covariances", covariances, {plane.size(), 3, 3}, Check::finite) {}
+  Gaussian operator[](py::ssize_t i) const {
+    return {{plane(i, 0), plane(i, 1), plane(i, 2)}, matrix3(covariance.data() + 9 * i)};
+  }
+};
+
+void write(const Gaussian& from, py::ssize_t i, Out<double>& plane, Out<double>& covariance) {
+  std::copy(from.plane.begin(), from.plane.end(), plane.data() + 3 * i);
+  std::copy(from.covariance.begin(), from.covariance.end(), covariance.data() + 9 * i);
+}
+
+// Finds known planes again, then new ones. Returns of P planes: the number of the known plane or
+// -1 (P,), pairs that have shown it (P,), its estimate over all pairs (P, 3), (P, 3, 3) and from
+// this pair, and its blocks (P, N).
+py::tuple find_planes(const py::object& rays, const py::object& rho, const py::object& sigma,
+                      const py::object& x, const py::object& free, const py::object& planes,
+                      const py::object& covariances, const py::object& seen, const py::object& up,
+                      int room, const py::dict& constants) {
+  const char* name = "find_planes";
+  const In<double> ray(name, "rays", rays, {ANY, 3}, Check::finite);
+  const auto n = ray.size();
+  const In<double> depth(name, "rho", rho, {n}, Check::finite);
+  const In<double> blur(name, "sigma", sigma, {n}, Check::finite);
+  const In<double> pixels(name, "x", x, {n, 2}, Check::finite);
+  const In<bool> may(name, "free", free, {n});
+  const Planes before(name, planes, covariances);
+  const auto k = before.plane.size();
+  const In<std::int64_t> times(name, "seen", seen, {k});
+  const Policy is(constants);
+  std::vector<int> sharp, pairs(times.data(), times.data() + k);
+  std::vector<double> noise(n);
+  for (int i = 0; i < n; ++i) {
+    noise[i] = std::hypot(blur[i], is.roughness * depth[i]) + 1e-9;
+    if (may[i] && noise[i] < is.max_blur * depth[i]) sharp.push_back(i);
+  }
+  std::vector<Gaussian> known;
+  for (py::ssize_t i = 0; i < k; ++i) known.push_back(before[i]);
+  Search search(is, vector3(name, "up", up), sharp, ray.data(), depth.data(), noise.data(),
+                pixels.data());
+  std::vector<Track> found;
+  if (static_cast<double>(sharp.size()) >= is.min_macroblocks && search.look())
+    found = search.chosen(known, pairs, room);
+  const auto p = static_cast<py::ssize_t>(found.size());
+  Out<std::int64_t> source({p}), shown({p});
+  Out<double> plane({p, 3}), covariance({p, 3, 3}), own({p, 3}), own_covariance({p, 3, 3});
+  Out<bool> member({p, n});
+  for (py::ssize_t i = 0; i < p; ++i) {
+    source[i] = found[i].before;
+    shown[i] = found[i].seen;
+    write(found[i].now, i, plane, covariance);
+    write(search.fit(search.parts()[i], found[i].now.plane), i, own, own_covariance);
+    for (const int block : search.parts()[i]) member(i, search.order()[block]) = true;
+  }
+  return py::make_tuple(source.array(), shown.array(), plane.array(), covariance.array(),
+                        own.array(), own_covariance.array(), member.array());
+}
+
+// Planes n / d after X_cur = R X_prev + t, |t| = 1 = exp(log_ratio) old baselines: planes (K, 3),
+// covariances (K, 3, 3), and whether the camera is still before each (K,). `wobble` (K,) is the
+// change that a fit does not tell, as a share.
+py::tuple predict_planes(const py::object& planes, const py::object& covariances,
+                         const py::object& R, const py::object& t, double log_ratio,
+                         double ratio_sigma, const py::object& wobble) {
+  const char* name = "predict_planes";
+  const Planes before(name, planes, covariances);
+  const auto k = before.plane.size();
+  const Mat3 turn = matrix3(In<double>(name, "R", R, {3, 3}, Check::finite).data());
+  const Vec3 way = vector3(name, "t", t);
+  const In<double> change(name, "wobble", wobble, {k}, Check::finite);
+  const double scale = std::exp(log_ratio);
+  Out<double> plane({k, 3}), covariance({k, 3, 3});
+  Out<bool> good({k});
+  for (py::ssize_t i = 0; i < k; ++i) {
+    const Gaussian was = before[i];
+    const Vec3 rotated = scale * (turn * was.plane), row = transposed(turn) * way;
+    const double nearer = 1 - dot(rotated, way);
+    good[i] = nearer > 0;
+    if (!good[i]) continue;
+    const Vec3 now = (1 / nearer) * rotated;
+    Mat3 J;
+    for (int a = 0; a < 9; ++a)
+      J[a] = scale * (turn[a] / nearer + rotated[a / 3] * row[a % 3] / (nearer * nearer));
+    Mat3 S = J * was.covariance * transposed(J);
+    for (int a = 0; a < 9; ++a)
+      S[a] += ratio_sigma * ratio_sigma * now[a / 3] * now[a % 3] +
+              change[i] * change[i] * dot(now, now) * IDENTITY[a];
+    write({now, S}, i, plane, covariance);
+  }
+  return py::make_tuple(plane.array(), covariance.array(), good.array());
+}
+
+}  // namespace
+}  // namespace kernels
+
+void bind_surfaces(pybind11::module_& module) {
+  using namespace kernels;
+  module.def("find_planes", find_planes);
+  module.def("predict_planes", predict_planes);
+  // Squared Mahalanobis distance (K,) of planes from another one, and the means with it.
+  module.def("compare_planes", [](const py::object& planes, const py::object& covariances,
+                                  const py::object& plane, const py::object& covariance) {
+    const Planes each("compare_planes", planes, covariances);
+    const Gaussian other{vector3("compare_planes", "plane", plane),
+                         matrix3(In<double>("compare_planes", "covariance", covariance, {3, 3},
+                                            Check::finite).data())};
+    const auto k = each.plane.size();
+    Out<double> off({k}), mean({k, 3}), less({k, 3, 3});
+    for (py::ssize_t i = 0; i < k; ++i) {
+      off[i] = distance(each[i], other);
+      write(fused(each[i], other), i, mean, less);
+    }
+    return py::make_tuple(off.array(), mean.array(), less.array());
+  });
+}
