@@ -4,9 +4,9 @@ from collections import deque
 
 import av
 from mv_slapse.codec import bitstream, places
-from mv_slapse.codec.continuity import Continuity, forget, KEPT
 from mv_slapse.codec.motion_vectors import columns, FrameVectors
 from mv_slapse.codec.packet import Packet
+from mv_slapse.codec.places import Continuity, forget, KEPT
 from mv_slapse.errors import UnusableInput
 from mv_slapse.records import FrameType
 import numpy as np

@@ -1,5 +1,4 @@
-from mv_slapse.codec.continuity import Continuity, KEPT
-from mv_slapse.codec.places import Place
+from mv_slapse.codec.places import Continuity, KEPT, Place
 import pytest
 
 STEP = 40

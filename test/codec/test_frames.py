@@ -131,14 +131,24 @@ def test_a_packet_of_noise_is_damage_and_no_exception(rng):
 def test_what_could_not_be_decoded_is_told_by_the_next_picture(rng, encoding):
     """Whatever counts and stamps say: here nothing is missing but the decoder's consent."""
     packets = list(encode(pictures.sliding(rng, 12, (2, 1)), 25, encoding))
-    refused = replace(packets[5], data=b'\x00\x00\x01\xb3' + bytes(8), stamp=1)
     decoder = FrameDecoder(False)
     before = [frame for packet in packets[:6] for frame in decoder.feed(packet)]
-    decoder._decode(decoder._wrap(refused))
-    decoder._continuity.report(decoder._count, 'a packet could not be decoded (here)')
+    context = decoder._context
+    decoder._context = Refusing()
+    decoder.feed(replace(packets[5], data=b'\x00\x00\x01\xb2' + bytes(8), stamp=1))
+    decoder._context = context
     after = [frame for packet in packets[6:] for frame in decoder.feed(packet)]
     assert not any(frame.damage for frame in before)
-    assert any('could not be decoded' in frame.damage for frame in after)
+    assert sum('could not be decoded' in frame.damage for frame in after) == 1
+
+
+class Refusing:
+    """A context of FFmpeg that calls every packet an error."""
+
+    name = ''
+
+    def decode(self, _packet):
+        raise av.error.InvalidDataError(1, 'Invalid data')
 
 
 def test_a_packet_that_ffmpeg_refuses_and_shows_later_is_no_exception(data):

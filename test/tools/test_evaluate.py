@@ -3,8 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-from mv_slapse.codec.encoder import LOW_LATENCY, write_video
-from mv_slapse.codec.pictures import pictures
+from mv_slapse.codec.encoder import LOW_LATENCY, pictures, write_video
 from mv_slapse.codec.source import open_source
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.simulation.flight import FISHEYE
