@@ -2,6 +2,10 @@
 
 #include <pybind11/pybind11.h>
 
+void bind_body(pybind11::module_& module);
+void bind_movers(pybind11::module_& module);
+void bind_reference_depth(pybind11::module_& module);
+void bind_region_score(pybind11::module_& module);
 void bind_lattice(pybind11::module_& module);
 void bind_scene(pybind11::module_& module);
 void bind_scene_blocks(pybind11::module_& module);
@@ -19,6 +23,10 @@ void bind_two_view(pybind11::module_& module);
 PYBIND11_MODULE(mv_slapse_kernels, module) {
   module.doc() = "Kernels of mv_slapse: pure functions of arrays, without state or threads.";
   module.attr("sanitized") = SANITIZED;
+  bind_body(module);
+  bind_movers(module);
+  bind_reference_depth(module);
+  bind_region_score(module);
   bind_lattice(module);
   bind_scene(module);
   bind_scene_blocks(module);
