@@ -99,6 +99,24 @@ def value(new: Any) -> Callable[[Any], Any]:
     return _Gives(new)
 
 
+def constants(**values: Any) -> Callable[[Any], Any]:
+    """Return what puts values in the place of some in a record of constants."""
+    return _Constants(values)
+
+
+class _Constants:
+    """Takes the place of a record of constants."""
+
+    def __init__(self, values: dict[str, Any]):
+        self.values = values
+
+    def __call__(self, old: Any) -> Any:
+        return old._replace(**self.values)
+
+    def __repr__(self) -> str:
+        return str(self.values)
+
+
 class _Gives:
     """Takes the place of anything; knows by what."""
 
@@ -132,8 +150,9 @@ def _only_votes(self, extraction, correspondences):
 
 def _without_past(self, extraction):
     """Return what is inherited where nothing is known."""
+    from mv_slapse.movers.identity import History
     n = len(extraction.x_cur)
-    return np.full(n, np.nan), np.full(n, np.nan), np.full(n, -1)
+    return History(np.full(n, np.nan), np.full(n, np.nan), np.full(n, -1))
 
 
 def _no_departure(past, extraction, *_args):
@@ -237,25 +256,24 @@ YES, NO, ZERO = gives(lambda *_: True), gives(lambda *_: False), gives(lambda *_
 FIRST = gives(lambda first, *_: first)
 ITSELF = gives(_prior_alone)
 NO_BLOCKS = gives(_no_blocks)
+LIKE_MOVERS = {MOVERS + 'possibly_dynamic:like_movers':
+               gives(lambda shown, parallax: np.zeros(len(parallax), bool))}
+BELOW_GROUND = {MOVERS + 'possibly_dynamic:below':
+                gives(lambda seen, *_: np.zeros(len(seen.rho), bool))}
+FROM_MOVERS = {MOVERS + 'possibly_dynamic:taken':
+               gives(lambda grid, x_prev: np.zeros(len(x_prev), bool))}
 
 RULES = (
     # Movers: the ones doubted most come first.
     Rule('terrain', 'what looks farther than the road in one proportion is land, no mover',
-         {MOVERS + 'terrain:land_rather': gives(lambda rho, sigma, under, first:
-                                                np.zeros(len(first)))}),
+         {MOVERS + 'outlines:RULES': constants(dependence=np.inf)}),
     Rule('body', 'blocks that only together look farther than the ground are a mover',
-         {MOVERS + 'body:with_bodies': FIRST}),
+         {MOVERS + 'body:with_bodies': gives(lambda field, members, first, *_: (members, first))}),
     Rule('upright', 'blocks of bodies tell nothing of the ground\'s height',
          {SURFACES + 'upright:on_bodies': gives(lambda depths, drop, known:
                                                 np.zeros(len(drop), bool))}),
-    Rule('unsupported below regions', 'vectors that no neighbour supports tell of the ground '
-         'below a region', {MOVERS + 'unsupported:with_lone': FIRST}),
     Rule('possibly dynamic', 'blocks that may be a mover\'s do not count for the motion: all '
-         'three ways', {MOVERS + 'possibly_dynamic:like_movers':
-                        gives(lambda shown: np.zeros(len(shown.x_cur), bool)),
-                        MOVERS + 'possibly_dynamic:below': NO_BLOCKS,
-                        MOVERS + 'possibly_dynamic:taken':
-                        gives(lambda grid, x_prev: np.zeros(len(x_prev), bool))}),
+         'three ways', {**LIKE_MOVERS, **BELOW_GROUND, **FROM_MOVERS}),
     Rule('planar ambiguity', 'of the two motions that one plane allows the one with the scene '
          'before the camera is taken',
          {MOTION + 'planar_ambiguity:unfolded': gives(lambda pair, fit: fit)}),
@@ -266,13 +284,11 @@ RULES = (
     Rule('reference depth', 'what is farther than all that was seen there a while ago departs',
          {MOVERS + 'reference_depth:departure': gives(_no_departure)}),
     Rule('like movers', 'blocks around a mover that move as it does do not count for the motion',
-         {MOVERS + 'possibly_dynamic:like_movers':
-          gives(lambda shown: np.zeros(len(shown.x_cur), bool))}),
+         LIKE_MOVERS),
     Rule('below the ground', 'nor do blocks that look farther than the ground they hide',
-         {MOVERS + 'possibly_dynamic:below': NO_BLOCKS}),
-    Rule('last pair\'s movers', 'nor do blocks from where the last pair showed a mover',
-         {MOVERS + 'possibly_dynamic:taken':
-          gives(lambda grid, x_prev: np.zeros(len(x_prev), bool))}),
+         BELOW_GROUND),
+    Rule('last pair\'s movers', 'nor do blocks from where the last pairs showed a mover',
+         FROM_MOVERS),
     Rule('unsupported on the road', 'unsupported vectors on the known ground are part of it',
          {SURFACES + 'ground:survey': _without_road}),
     Rule('score over pairs', 'a region\'s score and name pass from pair to pair',
@@ -282,34 +298,32 @@ RULES = (
     Rule('given up later', 'a mover is given up at half the score at which it was found',
          {MOVERS + 'regions:KEPT': value(1.0)}),
     Rule('name of a plane', 'a region that was a stationary plane keeps its name',
-         {REGIONS + '_covered': gives(lambda members, extraction: np.full(len(members), -1))}),
+         {REGIONS + 'RULES': constants(same_plane=np.inf)}),
     Rule('bridges', 'blocks as far as the ground between rows of a mover join them',
-         {REGIONS + '_bridges': gives(lambda motion_field, a, b:
-                                      np.zeros(len(motion_field.x), bool))}),
+         {REGIONS + 'RULES': constants(column=0.0)}),
     Rule('own growth', 'before a standing camera what comes near may grow',
          {REGIONS + 'GROWTH': value(0.0)}),
     Rule('grown movers', 'blocks around a mover that move with it join it',
-         {REGIONS + '_grown': gives(lambda extraction, motion_field, moving:
-                                    [member for member, *_ in moving])}),
+         {REGIONS + '_grown': gives(lambda pair, alike, planes, view:
+                                    [alike.members[alike.rows(i)] for i in planes])}),
     Rule('copied vectors', 'wrong vectors that repeat their neighbours deserve less belief',
-         {REGIONS + '_copied': gives(lambda extraction:
-                                     np.zeros(len(extraction.label), bool))}),
+         {REGIONS + 'RULES': constants(repeated=-1.0)}),
     Rule('credibility', 'a score is bounded by how many vectors around are copies',
-         {SCORE + '_credible': gives(lambda outline, at, seen: np.full(len(at), np.inf))}),
+         {SCORE + 'RULES': constants(credit=1e9)}),
     Rule('hovering', 'what looks nearer than the ground seen below it hovers, so it moves',
-         {SCORE + '_may_hover': gives(lambda outline: np.zeros(len(outline.drop), bool))}),
+         {SCORE + 'RULES': constants(least_ratio=np.inf)}),
     Rule('body above', 'a low region counts only if something goes on above it',
-         {SCORE + '_body_above': gives(lambda *_: np.inf)}),
+         {MOVERS + 'outlines:LOWEST': value(0.0)}),
     Rule('ground below', 'what a region would hide must not be seen below it',
-         {SCORE + '_ground_below': gives(lambda *_: np.inf)}),
+         {SCORE + 'RULES': constants(unseen=np.inf)}),
     Rule('vehicle size', 'what is larger than a vehicle is a building',
-         {SCORE + '_may_be_vehicle': gives(lambda outline: np.ones(len(outline.drop), bool))}),
+         {MOVERS + f'outlines:{limit}': value(np.inf) for limit in ('WIDEST', 'TALLEST')}),
     Rule('scattered', 'a region that fills little of its box does not move',
-         {SCORE + 'LEAST_FILLED': value(0.0)}),
+         {SCORE + 'RULES': constants(least_filled=0.0)}),
     Rule('above the horizon', 'what ends above the horizon does not move',
-         {SCORE + 'LEAST_DROP': value(-np.inf)}),
+         {SCORE + 'RULES': constants(least_drop=-np.inf)}),
     Rule('rising departures', 'what departs must rise from the road',
-         {REGIONS + 'RISING': value((0.0, 0))}),
+         {REGIONS + 'RULES': constants(rising=0.0, rising_blocks=0.0)}),
     Rule('guessed ground', 'where no ground is seen a vague height bounds it for movers',
          {SURFACES + 'ground:GUESSED': value(-1.0)}),
     # Motion and extraction.

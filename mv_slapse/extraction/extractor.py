@@ -7,7 +7,7 @@ from mv_slapse.blas import one_thread
 from mv_slapse.config import ExtractionSettings, USUAL_HEIGHT
 from mv_slapse.extraction.pair_estimate import Found, labels, observations
 from mv_slapse.extraction.state import Memory
-from mv_slapse.geometry import rotation, two_view
+from mv_slapse.geometry import epipolar, rotation, two_view
 from mv_slapse.geometry.camera import Camera, undistort
 from mv_slapse.motion import (
     baseline,
@@ -20,6 +20,7 @@ from mv_slapse.motion.estimate import MotionFit, refined_from
 from mv_slapse.motion.observations import BlockObservations
 from mv_slapse.movers import possibly_dynamic, regions
 from mv_slapse.movers.mask import Silhouettes
+from mv_slapse.movers.possibly_dynamic import BlockDepths
 from mv_slapse.movers.reference_depth import departure, depths_of
 from mv_slapse.records import (
     CameraMotion,
@@ -94,13 +95,12 @@ class PlaneExtractor:
         ratio = self._ratio(whole, seen, ~lone, fit)
         floor, road = self._survey(whole, pair, seen, lone, fit, ratio)
         free = status.spread(free, rows, len(whole.x_cur))
-        left, rows = np.flatnonzero(lone & ~road), np.flatnonzero(~lone | road)
-        left = replace(status.only(whole, left), sigma=pair.sigma[left])
+        rows = np.flatnonzero(~lone | road)
         blank, evidence = status.only(whole, rows), seen[rows]
         pair = evidence.pair
         found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor,
                                                   free[rows], road[rows]))
-        found = self._moving(blank, pair, self._named(found), floor, ratio, left)
+        found = self._moving(blank, pair, self._named(found), floor, ratio)
         found = self._refined(pair, found, floor)
         # Anew, by the motion that the next pair will compare with: its error then cancels.
         ratio = self._ratio(blank, found.evidence, True, found.fit)
@@ -158,10 +158,11 @@ class PlaneExtractor:
         Without a baseline there is no unit of length: moving planes have a prior's.
         """
         label = np.where(still, Label.STATIONARY, Label.UNKNOWN).astype(np.int8)
+        ground = regions.KnownGround(level=self._memory.ground.mount.normal,
+                                     camera_height=self._camera_height)
         shown, self._movers = regions.with_moving_planes(
-            replace(blank, label=label, motion=motion), None, self._movers,
-            self._settings.moving_score, self._memory.ground.mount.normal,
-            camera_height=self._camera_height)
+            replace(blank, label=label, motion=motion), self._movers,
+            self._settings.moving_score, ground)
         return shown
 
     def _motion(self, pair: two_view.Pair) -> MotionFit:
@@ -203,8 +204,10 @@ class PlaneExtractor:
         """Return the blocks (N,) bool below the ground that is expected, none: too unsure."""
         if prior.spread > ground.FORGOTTEN:
             return np.zeros(len(pair), bool)
-        return possibly_dynamic.below(pair, fit.R_cur_from_prev, fit.t_cur_from_prev,
-                              prior.normal * prior.inverse_depth, prior.spread)
+        rho, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal,
+                                                fit.R_cur_from_prev, fit.t_cur_from_prev)
+        seen = BlockDepths(pair.rays_cur, rho, per_pixel * pair.sigma)
+        return possibly_dynamic.below(seen, prior.normal * prior.inverse_depth, prior.spread)
 
     def _planes(self, blank, pair, evidence, fit, ratio, prior: GroundPrior,
                 free, road: np.ndarray) -> list[PlaneFit]:
@@ -244,26 +247,25 @@ class PlaneExtractor:
         return memory.planes.predicted(fit.R_cur_from_prev, fit.t_cur_from_prev,
                                        *memory.log_ratio(blank, ratio))
 
-    def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio, lone) -> Found:
+    def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio) -> Found:
         """Find what moves by itself, and take it out of the stationary planes."""
         label, plane_id = labels(found)
-        seen = next((plane.plane for plane in found.planes if plane.is_ground), None)
+        id_, seen = next(((plane.id, plane.plane) for plane in found.planes if plane.is_ground),
+                         (-1, None))
         floor, nearer = ground.for_movers(seen, prior, self._memory.height)
         rides, fit = self._memory.ground.mount.rides, found.fit
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev)
         shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
-                        planes=tuple(observations(blank.x_cur, found)),
                         sigma=pair.sigma.astype(np.float32))
         level = left = None
         if rides:
             level, left = prior.normal, departure(
                 self._memory.past_at(blank, fit, ratio), blank,
                 depths_of(pair, blank, found.evidence, found.evidence.has_depth), floor)
+        known = regions.KnownGround(floor if rides else None, level, nearer, self._camera_height,
+                                    id_)
         shown, self._movers = regions.with_moving_planes(
-            shown, floor if rides else None, self._movers, self._settings.moving_score,
-            level, left, lone, nearer, self._camera_height)
-        shown = replace(shown, planes=tuple(
-            plane for plane in shown.planes if plane.label is Label.MOVING))
+            shown, self._movers, self._settings.moving_score, known, left)
         still = shown.label != Label.MOVING
         planes = [replace(plane, member=plane.member & still) for plane in found.planes
                   if plane.is_ground or np.mean(still[plane.member]) > 0.5]
@@ -271,10 +273,11 @@ class PlaneExtractor:
         if lost:
             known = self._memory.planes
             self._memory = replace(self._memory, planes=known[~np.isin(known.id, list(lost))])
-        unsure = possibly_dynamic.like_movers(shown)
+        evidence = found.evidence
+        unsure = possibly_dynamic.like_movers(shown, evidence.parallax)
         if seen is not None:
-            unsure |= possibly_dynamic.below(pair, fit.R_cur_from_prev, fit.t_cur_from_prev,
-                                             seen, 0.0)
+            unsure |= possibly_dynamic.below(
+                BlockDepths(pair.rays_cur, evidence.rho, evidence.blur), seen)
         return replace(found, planes=planes, moving=shown, doubtful=unsure)
 
     def _ratio(self, blank, seen: BlockObservations, usable, fit) -> baseline.BaselineRatio:

@@ -20,7 +20,7 @@ STEADY_SIGMA = 0.15  # of the same, unseen: 1.3 m/s at 30 km/h, a hard brake ove
 class Memory:
     """What the last key frame leaves for the next: motion, depths, ground, planes and movers.
 
-    ``movers`` is the grid of planes.doubtful.painted; ``height`` is in the last pair's baseline.
+    ``movers`` is the grid of possibly_dynamic.painted; ``height`` is in the last pair's baseline.
     """
 
     stamp: int | None = None

@@ -4,6 +4,10 @@
 
 void bind_depth_grid(pybind11::module_& module);
 void bind_ground(pybind11::module_& module);
+void bind_body(pybind11::module_& module);
+void bind_movers(pybind11::module_& module);
+void bind_reference_depth(pybind11::module_& module);
+void bind_region_score(pybind11::module_& module);
 void bind_lattice(pybind11::module_& module);
 void bind_scene(pybind11::module_& module);
 void bind_scene_blocks(pybind11::module_& module);
@@ -24,6 +28,10 @@ PYBIND11_MODULE(mv_slapse_kernels, module) {
   module.attr("sanitized") = SANITIZED;
   bind_depth_grid(module);
   bind_ground(module);
+  bind_body(module);
+  bind_movers(module);
+  bind_reference_depth(module);
+  bind_region_score(module);
   bind_lattice(module);
   bind_scene(module);
   bind_scene_blocks(module);

@@ -4,15 +4,44 @@ A block's history follows its vector. Where a vehicle has none in a pair, as whe
 codes it anew, its history goes on as it last moved, or each I frame would find it again.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
-from mv_slapse.geometry import lattice
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Extraction
 import numpy as np
 
 FIRST_ID = 100_000  # moving planes have ids of their own, from here on
 LIFETIME = 500_000_000  # [ns] for which a block is remembered without a vector
+FADING = 0.85  # of a score from pair to pair
 SECOND = 1e9  # [ns]
+
+
+class History(NamedTuple):
+    """What the blocks (N,) of a pair were in the pair before.
+
+    Attributes
+    ----------
+    score, left : (N,), (N,) float64
+        As of Memory; nan: unknown.
+    id : (N,) int64
+        As of Memory; -1: none.
+    """
+
+    score: np.ndarray
+    left: np.ndarray
+    id: np.ndarray
+
+
+class Judged(NamedTuple):
+    """What a pair tells of its blocks: where they are, and the columns of a Memory."""
+
+    x: np.ndarray
+    x_prev: np.ndarray
+    block: np.ndarray
+    score: np.ndarray
+    left: np.ndarray
+    id: np.ndarray
 
 
 def _none(*columns: int, dtype: type = float) -> np.ndarray:
@@ -33,9 +62,9 @@ class Memory:
         In the picture [px/s].
     score, left : (N,), (N,) float64
         That it moves, and that it has left where it stood, summed over key frame pairs.
-    id : (N,) int
+    id : (N,) int64
         Moving region that each belongs to, -1 for none.
-    seen : (N,) int
+    seen : (N,) int64
         When each had a vector [ns].
     next_id : int
         For a region that is new.
@@ -51,94 +80,48 @@ class Memory:
     seen: np.ndarray = _none(dtype=int)
     next_id: int = FIRST_ID
 
-    def at(self, stamp: int) -> 'Memory':
-        """Return it for a later key frame [ns]: blocks go on as they moved, old ones go."""
-        if self.stamp is None or stamp < self.stamp:
-            return Memory(stamp, next_id=self.next_id)
-        moved = self.x + self.velocity * ((stamp - self.stamp) / SECOND)
-        return replace(self, stamp=stamp, x=moved).only(stamp - self.seen < LIFETIME)
+    def inherited(self, extraction: Extraction) -> History:
+        """Return what the blocks of a pair were before, by where their vectors point.
 
-    def only(self, kept: np.ndarray) -> 'Memory':
-        """Return it with some blocks only, (N,) bool."""
-        return replace(self, x=self.x[kept], block=self.block[kept],
-                       velocity=self.velocity[kept], score=self.score[kept],
-                       left=self.left[kept], id=self.id[kept], seen=self.seen[kept])
+        Blocks have gone on as they moved; those without a vector for LIFETIME are forgotten.
+        """
+        return History(*compiled.inherited(
+            self, extraction.previous_stamp, extraction.width, extraction.height,
+            np.ascontiguousarray(extraction.x_prev, float), LIFETIME))
 
-    def inherited(self, extraction: Extraction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return score and left (N,), nan: unknown, and id (N,), -1: none, that blocks had."""
-        at = self.at(extraction.previous_stamp)
-        at = at.only(_inside(at.x, extraction))
-        if not len(at.x):
-            n = len(extraction.x_cur)
-            return np.full(n, np.nan), np.full(n, np.nan), np.full(n, -1)
-        grid = lattice.paint(extraction.width, extraction.height, at.x, at.block,
-                             np.arange(len(at.x)))
-        source = lattice.lookup(grid, extraction.x_prev.astype(float))
-        return (np.where(source < 0, np.nan, at.score[source]),
-                np.where(source < 0, np.nan, at.left[source]),
-                np.where(source < 0, -1, at.id[source]))
-
-    def after(self, extraction: Extraction, score: np.ndarray, left: np.ndarray, id_: np.ndarray,
-              next_id: int, fading: float) -> 'Memory':
-        """Return what is known after a pair.
+    def after(self, extraction: Extraction, judged: Judged, next_id: int) -> 'Memory':
+        """Return what is known after a pair; blocks without a vector keep FADING of their scores.
 
         Parameters
         ----------
         extraction : Extraction
-        score, left, id_ : (N,), (N,), (N,) arrays
-            Of its blocks.
+        judged : Judged
+            What it tells of its blocks.
         next_id : int
-        fading : float
-            Share of their scores that blocks without a vector keep.
         """
-        x, block = extraction.x_cur.astype(float), extraction.block.astype(float)
         seconds = (extraction.stamp - extraction.previous_stamp) / SECOND
-        old = self.at(extraction.stamp)
-        old = old.only(_inside(old.x, extraction))
-        covered = lattice.paint(extraction.width, extraction.height, x, block,
-                                np.zeros(len(x), int))
-        old = old.only(lattice.lookup(covered, old.x) < 0)
-        seen = np.full(len(x), extraction.stamp)
-        return Memory(extraction.stamp, *(np.concatenate(pair) for pair in (
-            (old.x, x), (old.block, block), (old.velocity, (x - extraction.x_prev) / seconds),
-            (fading * old.score, score), (fading * old.left, left),
-            (old.id, id_), (old.seen, seen))), next_id)
+        return Memory(extraction.stamp, *compiled.remembered(
+            self, extraction.stamp, extraction.width, extraction.height, judged, seconds, FADING,
+            LIFETIME), next_id)
 
 
-def _inside(x: np.ndarray, extraction: Extraction) -> np.ndarray:
-    """Return which pixels (N, 2) lie in the picture."""
-    return np.all((x >= -0.5) & (x < (extraction.width - 0.5, extraction.height - 0.5)), axis=1)
-
-
-def better_half(members: list[np.ndarray], score: np.ndarray) -> np.ndarray:
-    """Return the mean (R,) of the upper half of each region's known scores, 0: few are known.
-
-    Half, since a region of a few blocks came from cells that it held in part.
-    """
-    result = np.zeros(len(members))
-    for i, member in enumerate(members):
-        known = np.sort(score[member][np.isfinite(score[member])])
-        if 3 * len(known) >= len(member):
-            result[i] = known[len(known) // 2:].mean()
-    return result
-
-
-def majority(members: list[np.ndarray], ids: np.ndarray) -> np.ndarray:
-    """Return the id (R,) that most of each region's blocks come from, -1: less than a third."""
-    result = np.full(len(members), -1)
-    for i, member in enumerate(members):
-        known = ids[member][ids[member] >= 0]
-        if 3 * len(known) >= len(member):
-            values, count = np.unique(known, return_counts=True)
-            result[i] = values[count.argmax()]
-    return result
-
-
-def ids_of(members: list[np.ndarray], moves: np.ndarray, before: np.ndarray, next_id: int
+def ids_of(size: np.ndarray, moves: np.ndarray, before: np.ndarray, next_id: int
            ) -> tuple[np.ndarray, int]:
-    """Return the ids (R,) of regions that move: of the region they come from, or a new one."""
-    ids, taken = np.full(len(members), -1), set()
-    for i in sorted(np.flatnonzero(moves), key=lambda i: -len(members[i])):
+    """Return the ids (R,) of regions that move, -1 of others, and the next id.
+
+    A region keeps the id of what it comes from, the largest first; else its id is new.
+
+    Parameters
+    ----------
+    size : (R,) array
+        Blocks of each.
+    moves : (R,) bool array
+    before : (R,) array
+        Id of what each comes from, -1 for none.
+    next_id : int
+    """
+    ids, taken = np.full(len(size), -1), set()
+    for i in sorted(np.flatnonzero(moves), key=lambda i: -size[i]):
         ids[i] = before[i] if before[i] >= 0 and before[i] not in taken else next_id
         next_id += int(ids[i] == next_id)
         taken.add(ids[i])

@@ -2,15 +2,30 @@
 
 from typing import NamedTuple
 
-from mv_slapse.geometry import lattice
-from mv_slapse.geometry.camera import to_rays
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.moving_plane import COVERED
-from mv_slapse.movers.terrain import land_rather
+from mv_slapse.kernels.binding import compiled
 import numpy as np
 
-FOOT_HEIGHT = 40.0  # px above the lower edge that show how near it is
 LOWEST, TALLEST, WIDEST = 0.825, 3.3, 8.25  # [m] of what may be a vehicle or a person
 REPEATED = 0.5  # px within which a vector repeats another
+NOT_KNOWN = np.zeros(3)
+
+
+class Rules(NamedTuple):
+    """Constants of outlines."""
+
+    covered: float = COVERED
+    macroblock: float = MACROBLOCK
+    foot_height: float = 40.0  # px above the lower edge that show how near it is
+    repeated: float = REPEATED
+    relief: float = 0.05  # share of their inverse depth by which bodies are no planes, nor is land
+    farthest: float = 9.0  # squared error, in variances, that a block tells at most of land
+    dependence: float = 2.0  # blocks that tell as much of it as one
+    iterations: float = 3.0  # of its reweighting: more change the share by less than a per cent
+
+
+RULES = Rules()
 
 
 class Blocks(NamedTuple):
@@ -26,7 +41,7 @@ class Blocks(NamedTuple):
         The part of that which the camera's rotation makes [px].
     rho, sigma : (N,), (N,) float64
         Apparent inverse depths and what noise makes of them [1/baseline].
-    first : (R,) int
+    first : (R,) int64
         Where each region begins.
     """
 
@@ -57,8 +72,10 @@ class Outlines(NamedTuple):
     rho : (R,) float64
         Mean apparent inverse depth of the blocks near the foot [1/baseline].
     land : (R,) float64
-        How much rather they show land at another height than a body, as of land_rather.
-    kinds : (R,) int
+        How much rather they show still land at another height than the road's than one depth, as
+        chi-square: land looks farther than the road, as a car ahead does, and hides it, but its
+        inverse depth grows from row to row as the road's does, in one proportion.
+    kinds : (R,) int64
         Vectors that differ.
     turned : (R, 2) float64
         Mean shift by the camera's rotation [px].
@@ -78,21 +95,6 @@ class Outlines(NamedTuple):
     turned: np.ndarray
     limit: np.ndarray
 
-    @property
-    def size(self) -> np.ndarray:
-        """Return widths and heights (R, 2) [px]."""
-        return self.high - self.low + lattice.MACROBLOCK
-
-
-def _below_horizon(x: np.ndarray, K: np.ndarray, level: np.ndarray | None) -> np.ndarray:
-    """Return how many rows (N,) pixels (N, 2) lie below the horizon; infinite: unknown.
-
-    ``level`` (3,) is normal to the ground at any length, up.
-    """
-    if level is None or level[1] >= 0:
-        return np.full(len(x), np.inf)
-    return to_rays(K, x) @ level / (level[1] / K[1, 1])
-
 
 def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
              level: np.ndarray | None, camera_height: float) -> Outlines:
@@ -109,25 +111,6 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
     camera_height : float
         Above the ground [m].
     """
-    x, block, first = blocks.x, blocks.block, blocks.first
-    size = np.diff(first, append=len(x))
-    bottom = x[:, 1] + 0.5 * block[:, 1]
-    # A single block below all others is taken for a stray, as geometry.moving_plane.contact does.
-    order = np.lexsort((bottom, np.repeat(np.arange(len(first)), size)))
-    edge = bottom[order[first + np.maximum(size - 2, 0)]]
-    lowest = (bottom >= np.repeat(edge, size) - 0.5).astype(float)
-    across = np.add.reduceat(x[:, 0] * lowest, first) / np.add.reduceat(lowest, first)
-    foot = np.stack([across, edge - (0.5 - COVERED) * lattice.MACROBLOCK], axis=1)
-    area, drop = np.add.reduceat(block.prod(axis=1), first), _below_horizon(foot, K, level)
-    under, each = (np.zeros(len(at)) if ground is None else -to_rays(K, at) @ ground
-                   for at in (foot, x))
-    land = land_rather(blocks.rho, blocks.sigma, each, first)
-    low, high = np.minimum.reduceat(x, first), np.maximum.reduceat(x, first)
-    filled = area / np.prod(high - low + lattice.MACROBLOCK, axis=1)
-    lower = (bottom > np.repeat(edge, size) - FOOT_HEIGHT).astype(float)
-    rho = np.add.reduceat(blocks.rho * lower, first) / np.add.reduceat(lower, first)
-    across, down = np.round(blocks.vector / REPEATED).astype(np.int64).T % 65536
-    kinds = np.unique((np.repeat(np.arange(len(first)), size) << 32) + (across << 16) + down)
-    turned = np.add.reduceat(blocks.turned, first) / size[:, None]
-    return Outlines(low, high, foot, drop, under, filled, rho, land, np.bincount(kinds >> 32),
-                    turned, np.array([WIDEST, TALLEST, LOWEST]) / camera_height)
+    ground, level = (NOT_KNOWN if up is None else up for up in (ground, level))
+    return Outlines(*compiled.region_outlines(blocks, K, ground, level, RULES),
+                    np.array([WIDEST, TALLEST, LOWEST]) / camera_height)

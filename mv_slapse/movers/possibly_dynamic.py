@@ -6,8 +6,10 @@ does without the places that the last pair showed moving, and the last estimate 
 around a mover that move as it does.
 """
 
-from mv_slapse.geometry import epipolar, lattice, moving_plane, two_view
-from mv_slapse.geometry.camera import to_rays
+from typing import NamedTuple
+
+from mv_slapse.geometry import lattice, moving_plane
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.homography import transfer
 from mv_slapse.motion.estimate import MIN_CORRESPONDENCES
 from mv_slapse.records import Extraction, Label
@@ -19,22 +21,30 @@ DEEP = 0.7  # share of the ground's inverse depth below which nothing still can 
 LEAST_LEFT = 0.3  # share of the blocks that must be left to estimate the motion from
 
 
-def like_movers(shown: Extraction) -> np.ndarray:
+class BlockDepths(NamedTuple):
+    """Rays (N, 3), inverse depths and what noise makes of them, (N,), (N,) [1/baseline]."""
+
+    rays: np.ndarray
+    rho: np.ndarray
+    blur: np.ndarray
+
+
+def like_movers(shown: Extraction, parallax: np.ndarray) -> np.ndarray:
     """Return the blocks (N,) bool on no plane, around a mover, that move as it does.
 
     Parameters
     ----------
     shown : Extraction
         With motion, labels and moving planes.
+    parallax : (N,) array
+        Lengths of its vectors without the camera's rotation [px].
     """
     found = np.zeros(len(shown.x_cur), bool)
     movers = [plane for plane in shown.planes if plane.label is Label.MOVING]
     if not movers:
         return found
     x, R = shown.x_cur.astype(float), shown.motion.R_cur_from_prev
-    parallax = epipolar.parallax(to_rays(shown.K, x), to_rays(
-        shown.K, shown.x_prev.astype(float)), np.diag(shown.K)[:2], R)
-    slack = SLACK[0] + SLACK[1] * np.linalg.norm(parallax, axis=1)
+    slack = SLACK[0] + SLACK[1] * parallax
     for plane in movers:
         box = _around(x[shown.plane_id == plane.id])
         near = np.flatnonzero(np.all((x >= box[0]) & (x <= box[1]), axis=1)
@@ -47,30 +57,25 @@ def like_movers(shown: Extraction) -> np.ndarray:
 
 def _around(x):
     """Return the corners (2, 2) of the place in which a mover (N, 2) may have more blocks."""
-    low, high = x.min(axis=0) - lattice.MACROBLOCK, x.max(axis=0) + lattice.MACROBLOCK
+    low, high = x.min(axis=0) - MACROBLOCK, x.max(axis=0) + MACROBLOCK
     height = high[1] - low[1]
     return low - (0.0, REACH[1] * height), high + (0.0, REACH[0] * height)
 
 
-def below(pair: two_view.Pair, R: np.ndarray, t: np.ndarray, floor: np.ndarray,
-          spread: float) -> np.ndarray:
+def below(seen: BlockDepths, floor: np.ndarray, spread: float = 0.0) -> np.ndarray:
     """Return the blocks (N,) bool that look farther than the ground that they hide.
 
     Nothing still can be there, whatever it is: what drives ahead shows itself so at once.
 
     Parameters
     ----------
-    pair : Pair
-    R, t : (3, 3), (3,) arrays
-        Motion X_cur = R X_prev + t.
+    seen : BlockDepths
     floor : (3,) array
         Ground n / d in camera k [|t|].
     spread : float
         Standard deviation of the logarithm of its depth.
     """
-    rho, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
-    under = -(pair.rays_cur @ floor)
-    return rho + 2 * per_pixel * pair.sigma < DEEP * np.exp(-2 * spread) * under
+    return seen.rho + 2 * seen.blur < DEEP * np.exp(-2 * spread) * -(seen.rays @ floor)
 
 
 def painted(shown: Extraction) -> np.ndarray:

@@ -6,28 +6,36 @@ farther now than all that was seen there has departed.
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
-from mv_slapse.geometry.blocks import grid_index, grid_shape
 from mv_slapse.geometry.two_view import Pair
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import BlockObservations
 from mv_slapse.records import Extraction
 from mv_slapse.surfaces.consensus import Depths
 import numpy as np
-from scipy import ndimage
 
-YOUNGEST, OLDEST = 0.3, 0.7  # [s] a car has gone 0.1 m, 0.8 m then; older depths err by more
+OLDEST = 700_000_000  # [ns]; older depths err by more
 WELL_KNOWN = 0.2  # error of a depth of one pair, as a share, beyond which it tells nothing
-AROUND = 3  # macroblocks in which all that was seen counts: edges of things err by one
-LEAST_SEEN = 3  # of these nine, or an edge could be missed
-FARTHER = 0.06  # log of the depth: what motion and common errors of vectors make of it,
-SIGMAS = 2.0  # and as many standard deviations of the block's own
-AWAY = 0.4  # of the same: 5 m before the camera a car may gain as much in this time; more is wrong
-STOOD = 0.8  # of the ground's inverse depth and more where a vehicle was: as of what is ground
-LEAST_LEFT = 4  # of nine macroblocks: what departs is a body, and wrong vectors are scattered
-# Share of departed blocks: of a car that starts (0.7 to 1 as measured), and of what stands.
-LEAVING, STRAYING = 0.75, 0.005
-AT_EDGES = 0.05  # the latter where not all around was nearer: 5 to 8 %, not 1 to 2, of lone blocks
-SECOND = 1e9  # [ns]
+
+
+class Rules(NamedTuple):
+    """Constants of departures."""
+
+    youngest: float = 3e8  # [ns] a car has gone 0.1 m then, and 0.8 m at OLDEST
+    well_known: float = WELL_KNOWN
+    least_seen: float = 3.0  # of nine macroblocks, or an edge could be missed
+    farther: float = 0.06  # log of the depth: what motion and common errors of vectors make of it,
+    sigmas: float = 2.0  # and as many standard deviations of the block's own
+    away: float = 0.4  # of the same: 5 m before the camera a car may gain as much; more is wrong
+    stood: float = 0.8  # of the ground's inverse depth and more where a vehicle was
+    least_left: float = 4.0  # of nine macroblocks: what departs is a body, not scattered vectors
+    leaving: float = 0.75  # share of departed blocks of a car that starts: 0.7 to 1 as measured,
+    straying: float = 0.005  # of what stands,
+    at_edges: float = 0.05  # and of that where not all around was nearer: 5 to 8 % of lone blocks
+
+
+RULES = Rules()
 
 
 @dataclass(frozen=True)
@@ -57,8 +65,8 @@ class Past:
         log_ratio : float
             Of this baseline over the last.
         """
-        kept = stamp - self.stamp <= OLDEST * SECOND
-        return Past(self.stamp[kept], self.X[kept] * np.exp(-log_ratio) @ R.T + t)
+        return Past(*compiled.carry_points(self.stamp, self.X, stamp, OLDEST, R, t,
+                                           float(np.exp(-log_ratio))))
 
     def noted(self, stamp: int, depths: Depths) -> 'Past':
         """Return it with the depths that stand still in the key frame at ``stamp`` [ns]."""
@@ -67,36 +75,6 @@ class Past:
         return Past(np.concatenate([self.stamp, np.full(len(X), stamp)]),
                     np.concatenate([self.X, X]))
 
-    def seen(self, stamp: int, K: np.ndarray, size: tuple[int, int]):
-        """Return what inverse depths were seen in macroblocks, and the least in and around them.
-
-        Of all that lies in a macroblock now the median counts.
-
-        Parameters
-        ----------
-        stamp : int
-            Of the key frame in whose camera the points are [ns].
-        K, size : (3, 3) array, (width, height)
-            [px].
-
-        Returns
-        -------
-        inside, least : (rows * columns,), (rows * columns,) arrays
-            NaN where nothing, or too little, was seen.
-        """
-        columns, rows = grid_shape(*size)
-        X = self.X[(stamp - self.stamp >= YOUNGEST * SECOND) & (self.X[:, 2] > 0)]
-        cell = grid_index((X @ K.T)[:, :2] / X[:, 2:], *size)
-        rho, cell = 1 / X[cell >= 0, 2], cell[cell >= 0]
-        order = np.lexsort((rho, cell))
-        values, first, count = np.unique(cell[order], return_index=True, return_counts=True)
-        grid = np.full(rows * columns, np.inf)
-        grid[values] = rho[order][first + count // 2]
-        grid = grid.reshape(rows, columns)
-        least = ndimage.minimum_filter(grid, AROUND)
-        least[_around(np.isfinite(grid)) < LEAST_SEEN] = np.nan
-        return np.where(np.isfinite(grid), grid, np.nan).ravel(), least.ravel()
-
 
 def depths_of(pair: Pair, extraction: Extraction, evidence: BlockObservations, known) -> Depths:
     """Return what a pair's vectors alone tell of the depths of its blocks, 0 of those not known.
@@ -104,7 +82,7 @@ def depths_of(pair: Pair, extraction: Extraction, evidence: BlockObservations, k
     ``known`` is (N,) bool.
     """
     return Depths(pair.rays_cur, np.where(known, evidence.rho, 0.0), evidence.blur,
-                  extraction.x_cur)
+                  extraction.x_cur.astype(float))
 
 
 def departure(past: Past, extraction: Extraction, depths: Depths,
@@ -123,33 +101,6 @@ def departure(past: Past, extraction: Extraction, depths: Depths,
     ground : (3,) array, optional
         Ground plane n / d in camera k [1/baseline]: no vehicle stood below it.
     """
-    size, rho = (extraction.width, extraction.height), depths.rho
-    at = grid_index(depths.x, *size)
-    known = (at >= 0) & (depths.sigma < WELL_KNOWN * rho)
-    rho = np.where(known, rho, 1.0)
-    sure = FARTHER + SIGMAS * depths.sigma / rho
-    inside, least = (np.log(values[at] / rho) for values in past.seen(
-        extraction.stamp, extraction.K, size))
-    # Near things outgrow what was seen of them: between its points the farthest around counts.
-    far = np.where(np.isnan(inside), least, inside)
-    left = known & (far > sure) & (far < AWAY)
-    if ground is not None:
-        left &= rho * np.exp(far) > STOOD * -(depths.rays @ ground)
-    left &= _about(at, left & (least > 0), size) > 0
-    left &= _about(at, left, size) >= LEAST_LEFT
-    stays = np.clip((sure - inside) / (sure - FARTHER), 0.0, 1.0)
-    stray = np.where(least > 0, STRAYING, AT_EDGES)
-    return np.where(left, np.log(LEAVING / stray), 0.0) + np.where(
-        known & (inside < sure), stays * np.log((1 - LEAVING) / (1 - STRAYING)), 0.0)
-
-
-def _about(at, those, size):
-    """Return how many of the macroblocks in and around those of blocks at (N,) hold some (N,)."""
-    grid = np.zeros(grid_shape(*size)[::-1], bool)
-    grid.ravel()[at[those]] = True
-    return _around(grid).ravel()[at]
-
-
-def _around(grid: np.ndarray) -> np.ndarray:
-    """Return how many of the macroblocks (rows, columns) bool in and around each hold."""
-    return np.rint(ndimage.uniform_filter(grid.astype(float), AROUND, mode='constant') * AROUND**2)
+    return compiled.departures(past, depths, np.zeros(3) if ground is None else ground,
+                               extraction.K, extraction.stamp, extraction.width,
+                               extraction.height, RULES)

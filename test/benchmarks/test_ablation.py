@@ -36,12 +36,13 @@ def test_a_function_is_replaced_wherever_it_was_imported():
 import sys
 sys.path.insert(0, {str(rules.__file__.rpartition('/')[0])!r})
 import numpy as np, rules
+rules.switch_off('body')
 rules.switch_off('terrain')
 rules.switch_off('iterations beyond 2')
-from mv_slapse.movers import outlines, terrain
+from mv_slapse.movers import body, outlines
 from mv_slapse.tools import rows
-assert outlines.land_rather is terrain.land_rather
-assert not outlines.land_rather(np.ones(3), np.ones(3), np.ones(3), np.array([0, 2])).any()
+assert body.with_bodies(None, 1, 2, 3) == (1, 2)
+assert outlines.RULES.dependence == np.inf
 assert rows.settings_of(type('Case', (), {{'height': 0.0}})).scene.iterations == 2
 """
     subprocess.run([sys.executable, '-c', code], check=True)

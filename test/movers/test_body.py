@@ -1,9 +1,6 @@
 """Bodies below the ground: drawn blocks, each of which by itself may be ground."""
 
-from types import SimpleNamespace
-
-from mv_slapse.movers import body
-from mv_slapse.movers.body import Blocks, bodies, with_bodies
+from mv_slapse.movers.body import Field, with_bodies
 import numpy as np
 import pytest
 
@@ -27,18 +24,21 @@ def blocks(seed=0, car=NEARNESS, ground=1.0, noise=NOISE, size=16.0):
     if car is not None:
         rho = np.where(ON_CAR, car * SLOPE * (FOOT - HORIZON), rho)
     sigma = noise * UNDER
-    return Blocks(X, np.full(X.shape, size), rho + sigma * rng.standard_normal(len(X)), sigma,
-                  UNDER)
+    none = np.zeros(len(X), bool)
+    return Field(X, np.full(X.shape, size), rho + sigma * rng.standard_normal(len(X)), sigma,
+                 UNDER, none, ~none)
 
 
-def field_of(given, below=None, fits=None):
-    """Return what moving_regions knows of blocks."""
-    n = len(given.x)
-    return SimpleNamespace(
-        x=given.x, block=given.block, rho=given.rho,
-        seen=SimpleNamespace(sigma=given.sigma, under=given.under),
-        below=np.zeros(n, bool) if below is None else below,
-        fits=np.ones(n, bool) if fits is None else fits)
+def bodies(field):
+    """Return the blocks of each body."""
+    return with_regions([], field)
+
+
+def with_regions(regions, field):
+    """Return the blocks of each region and body, given those of regions."""
+    first = np.cumsum([0, *map(len, regions)])[:-1] if regions else np.zeros(0, int)
+    members, first = with_bodies(field, np.concatenate([np.zeros(0, int), *regions]), first, SIZE)
+    return np.split(members, first[1:]) if len(first) else []
 
 
 def is_alone(given):
@@ -50,44 +50,44 @@ def is_alone(given):
 def test_blocks_that_may_each_be_ground_make_a_body(seed):
     given = blocks(seed)
     assert np.mean(is_alone(given)[HIDING]) <= 0.5
-    largest = max(bodies(given, SIZE), key=len)
+    largest = max(bodies(given), key=len)
     assert np.mean(np.isin(np.flatnonzero(HIDING), largest)) >= 0.6
     assert np.mean(ON_CAR[largest]) >= 0.9
 
 
 @pytest.mark.parametrize('seed', range(5))
 def test_ground_alone_makes_no_body(seed):
-    assert all(len(body) < 4 for body in bodies(blocks(seed, car=None), SIZE))
+    assert all(len(body) < 4 for body in bodies(blocks(seed, car=None)))
 
 
 @pytest.mark.parametrize('seed', range(3))
 def test_what_is_nearer_than_the_ground_makes_no_body(seed):
-    assert all(len(body) < 4 for body in bodies(blocks(seed, car=1.6), SIZE))
+    assert all(len(body) < 4 for body in bodies(blocks(seed, car=1.6)))
 
 
 @pytest.mark.parametrize('seed', range(3))
 def test_a_ground_that_is_not_where_it_should_be_hides_nothing(seed):
-    assert all(len(body) < 6 for body in bodies(blocks(seed, car=None, ground=0.7), SIZE))
+    assert all(len(body) < 6 for body in bodies(blocks(seed, car=None, ground=0.7)))
 
 
 def test_a_body_is_bounded_by_its_depth_not_by_what_is_wrong():
     given = blocks(0)
     wrong = ON_CAR & (X[:, 0] < CAR[0] + 16)
     given.rho[wrong] = -2 * UNDER[wrong]
-    largest = max(bodies(given, SIZE), key=len)
+    largest = max(bodies(given), key=len)
     assert not np.any(wrong[largest])
 
 
 @pytest.mark.parametrize('size', [8.0, 16.0])
 def test_one_vector_makes_no_body_however_large_its_block(size):
     one = np.flatnonzero(HIDING)[:1]
-    given = Blocks(*(values[one] for values in blocks(0, noise=0.01, size=size)))
+    given = Field(*(values[one] for values in blocks(0, noise=0.01, size=size)))
     assert is_alone(given).all()
-    assert not bodies(given, SIZE)
+    assert not bodies(given)
 
 
 def test_no_blocks_make_no_body():
-    assert bodies(Blocks(np.zeros((0, 2)), np.zeros((0, 2)), *np.zeros((3, 0))), SIZE) == []
+    assert bodies(Field(*(values[:0] for values in blocks()))) == []
 
 
 def test_a_body_takes_a_region_that_looks_farther_and_leaves_others_alone():
@@ -96,7 +96,7 @@ def test_a_body_takes_a_region_that_looks_farther_and_leaves_others_alone():
     fragment = np.flatnonzero(HIDING & (X[:, 1] > FOOT - 16))
     below[fragment] = True
     other = np.flatnonzero(HIDING & (X[:, 0] < CAR[0] + 16))
-    regions = with_bodies([other, fragment], field_of(given, below), SIZE, 4, 24.0)
+    regions = with_regions([other, fragment], given._replace(below=below))
     assert np.array_equal(regions[0], other)
     largest = max(regions[1:], key=len)
     assert len(largest) > len(fragment)
@@ -109,17 +109,12 @@ def test_what_surrounds_a_larger_region_is_none_by_itself():
     inside = np.flatnonzero(ring & ~HIDING)
     below = np.isin(np.arange(len(X)), inside)
     assert len(inside) > HIDING.sum()
-    regions = with_bodies([inside], field_of(given, below, ~below), SIZE, 4, 24.0)
+    regions = with_regions([inside], given._replace(below=below, fits=~below))
     assert len(regions) == 1
     assert np.array_equal(regions[0], inside)
 
 
 def test_only_blocks_that_follow_their_epipolar_lines_count():
     given = blocks(0)
-    assert with_bodies([], field_of(given), SIZE, 4, 24.0)
-    assert not with_bodies([], field_of(given, fits=~ON_CAR), SIZE, 4, 24.0)
-
-
-def test_the_uneven_ground_is_measured_from_what_lies_below_it():
-    assert body._unevenness(blocks(0, car=None, noise=0.05)) == pytest.approx(0.07, abs=0.01)
-    assert body._unevenness(blocks(0, car=None, ground=0.7, noise=0.05)) > 0.3
+    assert bodies(given)
+    assert not bodies(given._replace(fits=~ON_CAR))

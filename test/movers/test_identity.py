@@ -1,6 +1,8 @@
 """The memory of movers: histories follow the vectors, and go on where there are none."""
 
-from mv_slapse.movers.identity import FIRST_ID, LIFETIME, Memory
+from dataclasses import replace
+
+from mv_slapse.movers.identity import FADING, FIRST_ID, Judged, LIFETIME, Memory
 from mv_slapse.records import CameraMotion, Extraction, MotionStatus, SegmentKind
 import numpy as np
 import pytest
@@ -22,10 +24,15 @@ def extraction(x, k=1, step=STEP):
 
 def remembered(x, score=8.0, k=1):
     """Return a Memory of blocks (N, 2) of one mover at the end of pair k."""
-    seen = extraction(x, k)
+    return after(Memory(), extraction(x, k), score, score / 2, FIRST_ID, FIRST_ID + 1)
+
+
+def after(memory, seen, score=0.0, left=0.0, id_=-1, next_id=None):
+    """Return a Memory after a pair whose blocks have a score and an id."""
     n = len(seen.x_cur)
-    return Memory().after(seen, np.full(n, score), np.full(n, score / 2), np.full(n, FIRST_ID),
-                          FIRST_ID + 1, 0.5)
+    judged = Judged(seen.x_cur.astype(float), seen.x_prev.astype(float), seen.block.astype(float),
+                    np.full(n, score), np.full(n, left), np.full(n, id_))
+    return memory.after(seen, judged, next_id or memory.next_id)
 
 
 def test_an_empty_memory_knows_nothing():
@@ -44,17 +51,15 @@ def test_a_block_inherits_from_where_its_vector_points():
 
 def test_a_mover_without_vectors_in_a_pair_goes_on_as_it_moved():
     memory = remembered([(39.5, 39.5)])
-    empty = extraction([(200, 100)], 2)
-    memory = memory.after(empty, np.zeros(1), np.zeros(1), np.full(1, -1), memory.next_id, 0.5)
+    memory = after(memory, extraction([(200, 100)], 2))
     score, left, id_ = memory.inherited(extraction([(71.5, 39.5)], 3))
-    assert (score[0], left[0]) == (4.0, 2.0)
+    assert (score[0], left[0]) == (8.0 * FADING, 4.0 * FADING)
     assert id_[0] == FIRST_ID
 
 
 def test_what_has_a_vector_hides_what_was_there():
     memory = remembered([(39.5, 39.5)])
-    memory = memory.after(extraction([(55.5, 39.5)], 2), np.array([-1.0]), np.zeros(1),
-                          np.full(1, -1), memory.next_id, 0.5)
+    memory = after(memory, extraction([(55.5, 39.5)], 2), -1.0)
     assert memory.score.tolist() == [-1.0]
 
 
@@ -66,21 +71,24 @@ def test_it_bridges_a_pair_that_never_came():
 
 def test_what_leaves_the_picture_is_forgotten():
     memory = remembered([(311.5, 39.5)])
-    memory = memory.after(extraction(np.zeros((0, 2)), 2), np.zeros(0), np.zeros(0),
-                          np.zeros(0, int), memory.next_id, 0.5)
+    memory = after(memory, extraction(np.zeros((0, 2)), 2))
     assert len(memory.x) == 0
     score, _, _ = remembered([(311.5, 39.5)]).inherited(extraction([(311.5, 39.5)], 3, (0, 0)))
     assert np.isnan(score[0])
 
 
-def test_it_lasts_half_a_second():
+@pytest.mark.parametrize(('age', 'known'), [(LIFETIME - 1, True), (LIFETIME, False)])
+def test_it_lasts_half_a_second(age, known):
     memory = remembered([(39.5, 39.5)])
-    assert len(memory.at(memory.stamp + LIFETIME - 1).x) == 1
-    assert len(memory.at(memory.stamp + LIFETIME).x) == 0
+    later = replace(extraction([(39.5, 39.5) + age / PAIR * STEP], 2, (0, 0)),
+                    previous_stamp=memory.stamp + age)
+    assert np.isfinite(memory.inherited(later)[0][0]) == known
 
 
 def test_time_that_runs_backwards_leaves_only_the_next_id():
-    memory = remembered([(39.5, 39.5)]).at(0)
+    memory = remembered([(39.5, 39.5)])
+    assert np.isnan(memory.inherited(extraction([(39.5, 39.5)], 0, (0, 0))).score).all()
+    memory = after(memory, extraction(np.zeros((0, 2)), -1))
     assert len(memory.x) == 0
     assert memory.next_id == FIRST_ID + 1
 

@@ -2,8 +2,13 @@
 
 from drawn_movers import CAMERA_HEIGHT, Drive, DT, K, Mover
 from mv_slapse.geometry import moving_plane
-from mv_slapse.geometry.camera import to_rays
-from mv_slapse.movers.moving_plane import fit_moving_plane, fit_surfaces, Regions, time_to_contact
+from mv_slapse.movers.moving_plane import (
+    fit_moving_plane,
+    fit_surfaces,
+    Regions,
+    time_to_contact,
+    View,
+)
 from mv_slapse.records import ScalePrior
 import numpy as np
 import pytest
@@ -164,8 +169,8 @@ def test_regions_fitted_together_are_as_fitted_alone(rng):
     cases = [Case(CARS['slower'], 0.3, rng), Case(CARS['oncoming'], 0.3, rng)]
     x = np.concatenate([case.x for case in cases])
     both = fit_surfaces(Regions(
-        to_rays(K, x), np.concatenate([case.x_prev for case in cases]), np.full(len(x), 0.3),
-        np.array([0, len(cases[0].x)])), K, cases[0].R, cases[0].ground)
+        x, np.concatenate([case.x_prev for case in cases]), np.full(len(x), 0.3),
+        np.array([0, len(cases[0].x)])), View(K, cases[0].R, cases[0].t), cases[0].ground)
     for i, case in enumerate(cases):
         fit = case.fit()
         np.testing.assert_allclose(both.centre[i], fit.centre)

@@ -1,8 +1,9 @@
 """Which blocks tell nothing sure of the camera's motion, in scenes that one can check by hand."""
 
-from mv_slapse.geometry import two_view
+from mv_slapse.geometry import epipolar
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.movers import possibly_dynamic
+from mv_slapse.movers.possibly_dynamic import BlockDepths
 from mv_slapse.records import (
     CameraMotion,
     Extraction,
@@ -26,8 +27,11 @@ def before(x, depth, moved=(0.0, 0.0, 0.0)):
     return (X / X[:, 2:] @ K.T)[:, :2]
 
 
-def pair_of(x, x_prev):
-    return two_view.Pair(to_rays(K, x), to_rays(K, x_prev), x_prev, np.full(len(x), 0.3), K)
+def depths_of(x, x_prev):
+    rays = to_rays(K, x)
+    rho, per_pixel = epipolar.inverse_depth(rays, to_rays(K, x_prev), np.diag(K)[:2], np.eye(3),
+                                            FORWARD)
+    return BlockDepths(rays, rho, 0.3 * per_pixel)
 
 
 def test_what_drives_ahead_on_the_road_looks_farther_than_the_road():
@@ -35,16 +39,16 @@ def test_what_drives_ahead_on_the_road_looks_farther_than_the_road():
     road = 1.25 / to_rays(K, x)[:, 1]
     depth = np.where(road > 0, road, 30.0)
     for speed, expected in ((0.0, []), (0.5, [0, 1, 2]), (1.0, [0, 1, 2]), (-0.5, [])):
-        pair = pair_of(x, before(x, depth, (0.0, 0.0, speed)))
-        found = possibly_dynamic.below(pair, np.eye(3), FORWARD, GROUND, 0.0)
+        pair = depths_of(x, before(x, depth, (0.0, 0.0, speed)))
+        found = possibly_dynamic.below(pair, GROUND)
         assert np.flatnonzero(found).tolist() == expected
 
 
 def test_an_unsure_ground_calls_less_below_it():
     x = np.array([[320.0, 340.0]])
-    pair = pair_of(x, before(x, 1.25 / to_rays(K, x)[:, 1] * 1.6))
-    assert possibly_dynamic.below(pair, np.eye(3), FORWARD, GROUND, 0.0).all()
-    assert not possibly_dynamic.below(pair, np.eye(3), FORWARD, GROUND, 0.2).any()
+    pair = depths_of(x, before(x, 1.25 / to_rays(K, x)[:, 1] * 1.6))
+    assert possibly_dynamic.below(pair, GROUND).all()
+    assert not possibly_dynamic.below(pair, GROUND, 0.2).any()
 
 
 @pytest.fixture
@@ -66,8 +70,12 @@ def ahead():
         plane_id=np.where(car, 100_000, -1).astype(np.int32))
 
 
+def parallax_of(shown):
+    return np.linalg.norm(shown.x_cur - shown.x_prev, axis=1)
+
+
 def test_around_a_mover_only_what_moves_as_it_does_is_doubtful(ahead):
-    found = possibly_dynamic.like_movers(ahead)
+    found = possibly_dynamic.like_movers(ahead, parallax_of(ahead))
     x, far = ahead.x_cur, ahead.label == Label.INFINITY
     still = np.linalg.norm(ahead.x_cur - ahead.x_prev, axis=1)
     near_top = far & (np.abs(x[:, 0] - 320) < 60) & (x[:, 1] > 180) & (x[:, 1] < 230)
@@ -80,7 +88,7 @@ def test_around_a_mover_only_what_moves_as_it_does_is_doubtful(ahead):
 
 def test_nothing_is_doubtful_without_movers(ahead):
     ahead = Extraction(**{**vars(ahead), 'planes': ()})
-    assert not possibly_dynamic.like_movers(ahead).any()
+    assert not possibly_dynamic.like_movers(ahead, parallax_of(ahead)).any()
 
 
 def test_blocks_that_come_from_a_mover_are_held(ahead):

@@ -174,5 +174,5 @@ def test_a_car_that_starts_is_found_while_it_still_looks_like_one_that_stands(se
     street = Street(StreetSettings(seed=seed, movers=('starting',), n_frames=150))
     delay = found_after(street, seed)
     assert delay < 0.8
-    monkeypatch.setattr(past_module, 'YOUNGEST', np.inf)
+    monkeypatch.setattr(past_module, 'RULES', past_module.RULES._replace(youngest=np.inf))
     assert found_after(street, seed) > delay + 0.2

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.extraction.extractor import PlaneExtractor
-from mv_slapse.movers import regions
-from mv_slapse.movers.regions import Memory, with_moving_planes
+from mv_slapse.movers.identity import FIRST_ID, Memory
+from mv_slapse.movers.regions import KnownGround, with_moving_planes
 from mv_slapse.records import (
     CameraMotion,
     Extraction,
@@ -45,8 +45,8 @@ def run(street, rng, first=0, last=72, ground=True):
     memory = Memory()
     for j in range(first + STEP, last, STEP):
         extraction, drawn, plane = extraction_of(street, j - STEP, j, rng)
-        found, memory = with_moving_planes(extraction, plane if ground else None, memory,
-                                           THRESHOLD)
+        found, memory = with_moving_planes(extraction, memory, THRESHOLD,
+                                           KnownGround(plane if ground else None))
         yield found, drawn
 
 
@@ -119,7 +119,7 @@ def test_what_is_far_behind_a_car_ahead_is_no_part_of_it():
     memory = Memory()
     for stamp in range(1, 5):
         pair, car, trees, ground = behind_a_car_of_the_same_speed(stamp)
-        found, memory = with_moving_planes(pair, ground, memory, THRESHOLD)
+        found, memory = with_moving_planes(pair, memory, THRESHOLD, KnownGround(ground))
     assert np.mean(found.label[car] == Label.MOVING) > 0.6
     assert not np.any(found.label[trees] == Label.MOVING)
 
@@ -131,7 +131,8 @@ def test_a_ground_that_no_road_shows_now_tells_movers_still():
         shown = car | trees
         rows = {name: getattr(pair, name)[shown]
                 for name in ('x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')}
-        found, memory = with_moving_planes(replace(pair, **rows), ground, memory, THRESHOLD)
+        found, memory = with_moving_planes(replace(pair, **rows), memory, THRESHOLD,
+                                           KnownGround(ground))
     assert np.mean(found.label[car[shown]] == Label.MOVING) > 0.6
     assert not np.any(found.label[trees[shown]] == Label.MOVING)
 
@@ -141,7 +142,7 @@ def test_a_ground_that_may_lie_no_farther_tells_a_car_ahead(height, least, most)
     memory, far = Memory(), np.array([0, -1 / height, 0])
     for stamp in range(1, 9):
         pair, car, trees, _ = behind_a_car_of_the_same_speed(stamp)
-        found, memory = with_moving_planes(pair, far, memory, THRESHOLD, nearer=4.0)
+        found, memory = with_moving_planes(pair, memory, THRESHOLD, KnownGround(far, nearer=4.0))
     assert least <= np.mean(found.label[car] == Label.MOVING) <= most
     assert not np.any(found.label[~car & (pair.x_cur[:, 1] > 190)] == Label.MOVING)
     assert not np.any(found.label[trees] == Label.MOVING)
@@ -150,7 +151,7 @@ def test_a_ground_that_may_lie_no_farther_tells_a_car_ahead(height, least, most)
 
 def test_what_may_be_on_a_ground_that_nobody_has_seen_is_not_judged():
     pair, _, _, floor = behind_a_car_of_the_same_speed(1)
-    _, memory = with_moving_planes(pair, 0.5 * floor, Memory(), THRESHOLD, nearer=4.0)
+    _, memory = with_moving_planes(pair, Memory(), THRESHOLD, KnownGround(0.5 * floor, nearer=4.0))
     road = pair.x_cur[:, 1] > 290
     assert np.all(memory.score[road] == 0)
 
@@ -166,7 +167,7 @@ def test_what_is_half_as_sure_moves_beside_a_mover_only():
     seen = np.zeros(len(x), int)
     memory = Memory(0, pair.x_prev.astype(float), pair.block.astype(float), np.zeros_like(x),
                     np.where(sure, THRESHOLD, 3.0), np.zeros(len(x)), np.full(len(x), -1), seen)
-    found, _ = with_moving_planes(pair, ground, memory, THRESHOLD)
+    found, _ = with_moving_planes(pair, memory, THRESHOLD, KnownGround(ground))
     assert np.mean(found.label[sure] == Label.MOVING) == 1.0
     assert np.mean(found.label[beside] == Label.MOVING) == 1.0
     assert not np.any(found.label[alone] == Label.MOVING)
@@ -186,7 +187,7 @@ def test_what_ends_above_the_horizon_does_not_move_with_what_is_beside_it():
     memory = Memory(0, pair.x_prev.astype(float), pair.block.astype(float), np.zeros_like(x),
                     np.where(tall, THRESHOLD, 1.2 * THRESHOLD), np.zeros(len(x)),
                     np.full(len(x), -1), np.zeros(len(x), int))
-    found, memory = with_moving_planes(pair, ground, memory, THRESHOLD)
+    found, memory = with_moving_planes(pair, memory, THRESHOLD, KnownGround(ground))
     assert np.all((memory.score[above] > 0.5 * THRESHOLD) & (memory.score[above] < THRESHOLD))
     assert np.mean(found.label[tall] == Label.MOVING) == 1.0
     assert not np.any(found.label[above] == Label.MOVING)
@@ -222,7 +223,8 @@ def after_departures(own, left, stays, pairs=3):
         pair, _, _, ground = behind_a_car_of_the_same_speed(stamp)
         pair = standing_upright(pair, own(pair.x_cur), 300)
         departure = np.where(left(pair.x_cur), 5.0, np.where(stays(pair.x_cur), -1.4, 0.0))
-        found, memory = with_moving_planes(pair, ground, memory, THRESHOLD / 2, None, departure)
+        found, memory = with_moving_planes(pair, memory, THRESHOLD / 2, KnownGround(ground),
+                                           departure)
     return found
 
 
@@ -254,27 +256,9 @@ def test_a_car_is_one_region_though_its_vectors_differ(way):
     x = pair.x_cur.astype(float)
     own = car & (x[:, 0] > 320) & (x[:, 1] < 240)
     pair, memory = with_own_vectors(pair, own, way * 0.2 * (x - (320, 180)))
-    found, _ = with_moving_planes(pair, ground, memory, THRESHOLD / 2)
+    found, _ = with_moving_planes(pair, memory, THRESHOLD / 2, KnownGround(ground))
     assert np.mean(found.label[own] == Label.MOVING) == 1.0
     assert len(np.unique(found.plane_id[own])) == 1
-
-
-def test_lone_vectors_on_the_road_tell_that_what_seems_near_comes_near():
-    pair, car, trees, ground = behind_a_car_of_the_same_speed(1)
-    road, x = ~car & ~trees, pair.x_cur.astype(float)
-    rho = 1.8 * (290 - 180) / 700 / 1.65  # as if it stood nearer than where its foot is
-    pair, _ = with_own_vectors(pair, car, rho / (1 + rho) * (x - (320, 180)))
-
-    def score(lone, off=0.0):
-        parts = [replace(pair, **{name: getattr(pair, name)[rows] for name in (
-            'x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')}) for rows in (~road, road)]
-        parts[1] = replace(parts[1], x_prev=parts[1].x_prev + np.float32([off, -off]))
-        memory = with_moving_planes(parts[0], ground, Memory(), THRESHOLD,
-                                    lone=parts[1] if lone else None)[1]
-        return np.mean(memory.score[car[~road]])
-
-    assert score(False) < 0 < 5 < score(True)
-    assert score(True, off=20.0) == pytest.approx(score(False), abs=1)
 
 
 @pytest.mark.parametrize('copied', [False, True])
@@ -287,7 +271,7 @@ def test_what_moves_as_copied_vectors_do_is_no_car(rng, copied):
         label = np.where(car, Label.INFINITY, pair.label)
         pair = replace(pair, label=np.where(wrong, Label.UNKNOWN, label),
                        x_prev=np.where(wrong[:, None], pair.x_cur + off, pair.x_prev))
-        found, memory = with_moving_planes(pair, ground, memory, THRESHOLD)
+        found, memory = with_moving_planes(pair, memory, THRESHOLD, KnownGround(ground))
     assert np.mean(found.label[car] == Label.MOVING) == pytest.approx(0.0 if copied else 1.0,
                                                                       abs=0.4)
 
@@ -300,7 +284,7 @@ def test_the_id_of_a_mover_lasts(rng):
             ids.append(np.bincount(on_it[on_it >= 0]).argmax())
     assert len(ids) > 8
     assert np.mean(np.array(ids) == ids[-1]) > 0.8
-    assert min(ids) >= regions.FIRST_ID
+    assert min(ids) >= FIRST_ID
 
 
 def test_the_score_of_a_mover_grows_from_pair_to_pair(rng):
@@ -354,14 +338,15 @@ def test_labels_planes_and_ids_agree(rng):
 def test_a_gap_forgets_and_no_blocks_are_no_movers(rng):
     street = street_of('faster')
     extraction, _, plane = extraction_of(street, 0, STEP, rng)
-    _, memory = with_moving_planes(extraction, plane, Memory(), THRESHOLD)
+    _, memory = with_moving_planes(extraction, Memory(), THRESHOLD, KnownGround(plane))
     later, _, plane = extraction_of(street, 10, 10 + STEP, rng)
-    fresh, _ = with_moving_planes(later, plane, Memory(next_id=memory.next_id), THRESHOLD)
-    after_gap, _ = with_moving_planes(later, plane, memory, THRESHOLD)
+    fresh, _ = with_moving_planes(later, Memory(next_id=memory.next_id), THRESHOLD,
+                                  KnownGround(plane))
+    after_gap, _ = with_moving_planes(later, memory, THRESHOLD, KnownGround(plane))
     np.testing.assert_array_equal(after_gap.label, fresh.label)
     nothing = replace(extraction, **{name: getattr(extraction, name)[:0] for name in (
         'x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')})
-    assert with_moving_planes(nothing, plane, memory, THRESHOLD)[0].planes == ()
+    assert with_moving_planes(nothing, memory, THRESHOLD, KnownGround(plane))[0].planes == ()
 
 
 def test_a_plane_that_begins_to_move_keeps_its_id(rng):
@@ -370,6 +355,6 @@ def test_a_plane_that_begins_to_move_keeps_its_id(rng):
         extraction, drawn, plane = extraction_of(street, j - STEP, j, rng, outliers=0.0)
         car = drawn.label == Label.MOVING
         extraction = replace(extraction, plane_id=np.where(car, 7, -1).astype(np.int32))
-        found, memory = with_moving_planes(extraction, plane, memory, THRESHOLD)
+        found, memory = with_moving_planes(extraction, memory, THRESHOLD, KnownGround(plane))
     assert 7 in [item.id for item in found.planes]
     assert np.mean(found.plane_id[car] == 7) > 0.5

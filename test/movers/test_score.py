@@ -3,10 +3,9 @@
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.movers import score as region_scores
-from mv_slapse.movers.moving_plane import fit_surfaces, Regions
+from mv_slapse.movers.moving_plane import fit_surfaces, Regions, View
 from mv_slapse.movers.outlines import Blocks, outlines
-from mv_slapse.movers.score import BACK, departures, OUTLIER, scores, Seen, STEP
-from mv_slapse.movers.unsupported import LONE_OUTLIER
+from mv_slapse.movers.score import departures, RULES, scores, Seen
 import numpy as np
 import pytest
 
@@ -16,18 +15,19 @@ HEIGHT = 1.65  # [baseline]
 GROUND = np.array([0.0, -1.0, 0.0]) / HEIGHT
 GRID = np.stack(np.meshgrid(np.arange(7.5, 1200, 16), np.arange(7.5, 370, 16)), -1).reshape(-1, 2)
 FIRST_ROW = 180.0
+STEP, BACK = RULES.step, RULES.back
 
 
 def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), ground=GROUND,
           keep=1.0, t=T, below='ground', above=None, copied=0.0, kinds=None, turned=(0.0, 0.0),
-          lone=None, nearer=1.0, camera_height=HEIGHT, land=None):
+          nearer=1.0, camera_height=HEIGHT, land=None):
     """Return the score of an upright face at a depth that moves by ``motion`` in the pair.
 
     Blocks below it show the ``ground``, the ``face``'s own depth, what is ``nearer``, ``half`` of
     it (the face in the first row), ``terrain`` that goes on as the face's foot lies, or
-    ``nothing``, and so do ``lone`` vectors; those ``above`` it the
-    'ground' or the 'face'. Of all vectors a share is ``copied``; those of the face are of some
-    ``kinds``, or all differ; the camera ``turned`` them [px].
+    ``nothing``; those ``above`` it the 'ground' or the 'face'. Of all vectors a share is
+    ``copied``; those of the face are of some ``kinds``, or all differ; the camera ``turned`` them
+    [px]. What is ``land`` lies at that share of the ground's inverse depth.
     """
     corner = [to_pixels(K, np.array([[*c, depth]]))[0] for c in (low, high)]
     # A block is the face's from a tenth of its height on.
@@ -36,7 +36,7 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     far = np.full(len(x), depth) if land is None else -1 / (land * (to_rays(K, x) @ ground))
     X = to_rays(K, x) * far[:, None]
     x_prev = to_pixels(K, X - np.array(motion) - t)
-    regions = Regions(to_rays(K, x), x_prev, np.full(len(x), 0.3), np.zeros(1, int))
+    regions = Regions(x, x_prev, np.full(len(x), 0.3), np.zeros(1, int))
     apparent = (to_rays(K, x_prev)[:, :2] - to_rays(K, x)[:, :2])
     rho = np.sum(apparent * to_rays(K, x_prev)[:, :2] * t[2], axis=1) / np.maximum(
         np.sum(to_rays(K, x_prev)[:, :2]**2, axis=1), 1e-9)
@@ -44,7 +44,7 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     blocks = Blocks(x, np.full(x.shape, 16.0), vector, np.tile(turned, (len(x), 1)), rho,
                     np.full(len(x), 0.002), np.zeros(1, int))
     outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]), camera_height)
-    fit = fit_surfaces(regions, K, np.eye(3), GROUND)
+    fit = fit_surfaces(regions, View(K, np.eye(3), t), GROUND)
     own = seen_as(x, rho, np.zeros(len(x)))
     parts = [own, seen_below(outline, rho.mean(), below, ground)]
     if above is not None:
@@ -52,18 +52,13 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     seen = Seen(*map(np.concatenate, zip(*parts, strict=True)))
     copies = np.random.default_rng(1).uniform(size=len(seen.x)) < copied
     seen = seen._replace(copied=copies)
-    if lone is None:
-        return scores(fit, outline, K, t, seen, seen, nearer)[0]
-    strays = seen_below(outline, rho.mean(), lone, ground)
-    strays = strays._replace(stray=np.full(len(strays.x), LONE_OUTLIER))
-    every = Seen(*map(np.concatenate, zip(seen, strays, strict=True)))
-    return scores(fit, outline, K, t, seen, every)[0]
+    return scores(fit, outline, K, t, seen, nearer)[0]
 
 
 def seen_as(x, rho, under):
-    """Return blocks with exact inverse depths, none of them copied or lone."""
+    """Return blocks with exact inverse depths, none of them copied."""
     n = len(x)
-    return Seen(x, rho, np.full(n, 0.002), under, np.zeros(n, bool), np.full(n, OUTLIER))
+    return Seen(x, rho, np.full(n, 0.002), under, np.zeros(n, bool))
 
 
 def seen_below(outline, rho, below, ground):
@@ -109,7 +104,7 @@ def test_what_is_nearer_than_both_below_an_outline_is_no_ground_either():
 def test_a_body_in_the_air_may_cover_half_of_the_blocks_below_it(monkeypatch):
     covered = score(20.0, (0, 0, -1.0), below='half')
     assert covered > score(20.0, (0, 0, -1.0), below='face') + 5
-    monkeypatch.setattr(region_scores, 'HALF_COVERED', 1e-3)
+    monkeypatch.setattr(region_scores, 'RULES', RULES._replace(half_covered=1e-3))
     assert covered > score(20.0, (0, 0, -1.0), below='half') + 0.5
 
 
@@ -120,14 +115,6 @@ def test_what_seems_to_hover_needs_ground_below_that_is_seen():
 
 def test_nothing_hovers_over_a_ground_that_may_lie_nearer():
     assert score(12.0, (0, 0, -1.5), nearer=2.0) < 2 < 9 < score(12.0, (0, 0, 1.0), nearer=2.0)
-
-
-def test_lone_vectors_tell_of_the_ground_below_too_but_less():
-    oncoming = {'depth': 12.0, 'motion': (0, 0, -1.5)}
-    none, lone, all_ = (score(**oncoming, below=below, lone=other) for below, other in (
-        ('nothing', None), ('nothing', 'ground'), ('ground', None)))
-    assert none + 3 < lone <= all_
-    assert score(**oncoming, below='nothing', lone='face') < none
 
 
 def test_a_body_ends_above_the_ground_that_it_stands_on():

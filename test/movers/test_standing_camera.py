@@ -2,7 +2,8 @@
 
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.extraction.extractor import PlaneExtractor
-from mv_slapse.movers.regions import Memory, with_moving_planes
+from mv_slapse.movers.identity import Memory
+from mv_slapse.movers.regions import KnownGround, with_moving_planes
 from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus, SegmentKind
 from mv_slapse.simulation.drawn import draw
 from mv_slapse.simulation.street import Street, StreetSettings
@@ -22,7 +23,7 @@ def moved(motion, threshold):
         CameraMotion(MotionStatus.STANDSTILL, np.eye(3), np.zeros(3)), (), '',
         GRID.astype(np.float32), (GRID - off).astype(np.float32), np.full(n, 0.3, np.float32),
         np.full((n, 2), 16, np.uint8), np.zeros(n, np.int8), np.full(n, -1, np.int32)),
-        None, Memory(), threshold)[0]
+        Memory(), threshold, KnownGround())[0]
 
 
 @pytest.mark.parametrize('growth', [-0.1, 0.1])

@@ -1,12 +1,21 @@
 """Land at another height than the road against bodies, drawn as inverse depths with noise."""
 
-from mv_slapse.movers.terrain import land_rather
+from mv_slapse.movers.outlines import Blocks, outlines
 import numpy as np
 import pytest
 
 ROWS = np.repeat(np.arange(20.0, 120.0, 16.0), 4) / 700.0  # of blocks, below the horizon
 UNDER = ROWS / 1.65  # inverse depth of the road there [1/m]
 SIGMA = 0.001
+K = np.diag([700.0, 700.0, 1.0])
+
+
+def land_rather(rho, sigma, under, first):
+    """Return how much rather regions show land than a body, by blocks in rows of the road."""
+    x = np.c_[16.0 * np.arange(len(rho)), 700 * 1.65 * under]
+    nothing = np.zeros_like(x)
+    blocks = Blocks(x, np.full(x.shape, 16.0), nothing, nothing, rho, sigma, first)
+    return outlines(blocks, K, np.array([0, -1 / 1.65, 0]), None, 1.65).land
 
 
 def rather(rho, under=UNDER, rng=None):

@@ -1,0 +1,631 @@
+// Which blocks belong to what moves by itself: regions of blocks that move alike, their history,
+// what they grow by. movers/regions.py and movers/identity.py.
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <numeric>
+#include <vector>
+
+#include "arrays.hpp"
+#include "movers.hpp"
+#include "small.hpp"
+
+namespace kernels {
+namespace {
+
+constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
+
+double square(double x) { return x * x; }
+
+struct Pair {
+  std::int64_t a, b;
+};
+
+// Blocks sorted into squares of `reach`, so that neighbours lie in the same one or beside it.
+class Squares {
+ public:
+  Squares(const In<double>& x, const std::vector<std::int64_t>& those, double reach)
+      : x_(x), those_(those), reach_(reach) {
+    for (const auto i : those) {
+      columns_ = std::max(columns_, column(i) + 1);
+      rows_ = std::max(rows_, row(i) + 1);
+    }
+    first_.assign(columns_ * rows_ + 1, 0);
+    for (const auto i : those) ++first_[cell(i) + 1];
+    std::partial_sum(first_.begin(), first_.end(), first_.begin());
+    sorted_.resize(those.size());
+    auto at = first_;
+    for (const auto i : those) sorted_[at[cell(i)]++] = i;
+  }
+
+  // Calls `visit` with each other block in the squares in and around that of block i.
+  template <typename Visit>
+  void around(std::int64_t i, Visit visit) const {
+    for (auto r = std::max<std::int64_t>(row(i) - 1, 0); r <= std::min(row(i) + 1, rows_ - 1); ++r)
+      for (auto k = std::max<std::int64_t>(column(i) - 1, 0);
+           k <= std::min(column(i) + 1, columns_ - 1); ++k)
+        for (auto at = first_[r * columns_ + k]; at < first_[r * columns_ + k + 1]; ++at)
+          if (sorted_[at] != i) visit(sorted_[at]);
+  }
+
+ private:
+  std::int64_t column(std::int64_t i) const { return index(x_(i, 0)); }
+  std::int64_t row(std::int64_t i) const { return index(x_(i, 1)); }
+  std::int64_t cell(std::int64_t i) const { return row(i) * columns_ + column(i); }
+  // What the lens moved out of the picture lies in the squares at its border, or around there.
+  std::int64_t index(double at) const {
+    return static_cast<std::int64_t>(std::min(std::max(at / reach_ + 4, 0.0), 2000.0));
+  }
+
+  const In<double>& x_;
+  const std::vector<std::int64_t>& those_;
+  double reach_;
+  std::int64_t columns_ = 0, rows_ = 0;
+  std::vector<std::int64_t> first_, sorted_;
+};
+
+struct RegionRules {
+  explicit RegionRules(const py::object& o)
+      : reach(number(o, "reach")), alike(number(o, "alike")), alike_share(number(o, "alike_share")),
+        alike_grown(number(o, "alike_grown")), alike_short(number(o, "alike_short")),
+        repeated(number(o, "repeated")), column(number(o, "column")), least(number(o, "least")),
+        on_ground(number(o, "on_ground")), below_ground(number(o, "below_ground")),
+        fits(number(o, "fits")),
+        far(number(o, "far")), resting(number(o, "resting")), receding(number(o, "receding")),
+        macroblock(number(o, "macroblock")) {}
+  double reach, alike, alike_share, alike_grown, alike_short, repeated, column, least, on_ground,
+      below_ground, fits, far, resting, receding, macroblock;
+};
+
+// A key frame pair's blocks and its camera's motion.
+struct Blocks {
+  Blocks(const char* kernel, const py::object& o)
+      : x(kernel, "x", o.attr("x"), {ANY, 2}), n(x.size()),
+        x_prev(kernel, "x_prev", o.attr("x_prev"), {n, 2}),
+        block(kernel, "block", o.attr("block"), {n, 2}),
+        sigma(kernel, "sigma", o.attr("sigma"), {n}),
+        departure(kernel, "departure", o.attr("departure"), {n}),
+        plane(kernel, "plane_id", o.attr("plane_id"), {n}),
+        wrong(kernel, "wrong", o.attr("wrong"), {n}) {}
+  In<double> x;
+  py::ssize_t n;
+  In<double> x_prev, block, sigma, departure;
+  In<std::int32_t> plane;
+  In<bool> wrong;
+};
+
+struct View {
+  View(const char* kernel, const py::object& o)
+      : K(matrix(kernel, "K", o.attr("K"))), R(matrix(kernel, "R", o.attr("R"))),
+        t(vector(kernel, "t", o.attr("t"))), inverse_K(inverse(K)) {}
+  Mat3 K, R;
+  Vec3 t;
+  Mat3 inverse_K;
+};
+
+// Columns of blocks that tell which of them cannot belong to an obstacle.
+struct Field {
+  explicit Field(py::ssize_t n)
+      : parallax({n, 2}), rho({n}), noise({n}), under({n}), ground_like({n}), far({n}),
+        copied({n}), below({n}), fits({n}), growth(n), length(n) {}
+  Out<double> parallax, rho, noise, under;
+  Out<bool> ground_like, far, copied, below, fits;
+  std::vector<double> growth, length;
+};
+
+// Judges the blocks singly: inverse depth along the epipolar line, whether it is the ground's.
+void judge_singly(const Blocks& blocks, const View& view, const Vec3& ground, double nearer,
+                  const RegionRules& rules, Field& field) {
+  const Vec3& t = view.t;
+  const double focal[2] = {view.K[0], view.K[4]};
+  const Mat3 R_back = transposed(view.R);
+  const bool drives = t[0] != 0 || t[1] != 0 || t[2] != 0;
+  for (py::ssize_t i = 0; i < blocks.n; ++i) {
+    const Vec3 ray = view.inverse_K * Vec3{blocks.x(i, 0), blocks.x(i, 1), 1};
+    const Vec3 before = view.inverse_K * Vec3{blocks.x_prev(i, 0), blocks.x_prev(i, 1), 1};
+    const Vec3 turned = view.R * before;
+    double along = 0, length = 0;
+    for (int a = 0; a < 2; ++a) {
+      const double y = turned[a] / turned[2], g = (t[a] - y * t[2]) * focal[a];
+      field.parallax(i, a) = (ray[a] - y) * focal[a];
+      along += field.parallax(i, a) * g;
+      length += g * g;
+    }
+    length = std::max(std::sqrt(length), 1e-9);
+    const double rho = along / square(length);
+    const double noise = std::abs(1 - rho * t[2]) / length * blocks.sigma[i];
+    // The distance from the epipolar line, (5) of [MVO], in standard deviations.
+    const Vec3 line = R_back * cross(ray, t);
+    const double error = std::abs(dot(before, line)) / blocks.sigma[i] /
+                         std::max(std::hypot(line[0] / focal[0], line[1] / focal[1]), 1e-12);
+    const double under = -dot(ray, ground), slack = 3 * noise + rules.on_ground * under;
+    // The lower rows of a car that starts look as far as the road before it.
+    field.ground_like[i] = under > 0 && error < 4 && rho - under > -slack &&
+                           rho - nearer * under < slack && blocks.departure[i] <= 0;
+    field.length[i] = std::hypot(field.parallax(i, 0), field.parallax(i, 1));
+    field.far[i] = under <= 0 && field.length[i] < (drives ? rules.far : rules.resting);
+    field.fits[i] = error < rules.fits;
+    field.below[i] = rho + 2 * noise < rules.below_ground * under;
+    // What moves against the flow shows no depth.
+    const double nearing = std::max(-t[2] * std::max(rho, 0.0), -rules.receding);
+    field.growth[i] = nearing / (1 + nearing);
+    field.rho[i] = rho;
+    field.noise[i] = noise;
+    field.under[i] = under;
+  }
+}
+
+// Marks the blocks whose vector nothing still explains and a neighbour repeats.
+void mark_copied(const Blocks& blocks, const RegionRules& rules, Field& field) {
+  std::vector<std::int64_t> wrong;
+  for (py::ssize_t i = 0; i < blocks.n; ++i)
+    if (blocks.wrong[i]) wrong.push_back(i);
+  const auto vector = [&](std::int64_t i, int a) { return blocks.x_prev(i, a) - blocks.x(i, a); };
+  const Squares squares(blocks.x, wrong, rules.reach);
+  for (const auto i : wrong)
+    squares.around(i, [&](std::int64_t k) {
+      bool same = true;
+      for (int a = 0; a < 2; ++a)
+        same &= std::abs(blocks.x(i, a) - blocks.x(k, a)) <= rules.reach &&
+                std::abs(vector(i, a) - vector(k, a)) <= rules.repeated;
+      if (same) field.copied[i] = true;
+    });
+}
+
+std::vector<Pair> neighbours(const Blocks& blocks, double reach) {
+  std::vector<std::int64_t> all(blocks.n);
+  std::iota(all.begin(), all.end(), 0);
+  const Squares squares(blocks.x, all, reach);
+  std::vector<Pair> pairs;
+  for (const auto i : all)
+    squares.around(i, [&](std::int64_t k) {
+      if (k > i && square(blocks.x(i, 0) - blocks.x(k, 0)) +
+                           square(blocks.x(i, 1) - blocks.x(k, 1)) <= square(reach))
+        pairs.push_back({i, k});
+    });
+  return pairs;
+}
+
+// The growth of the parallax about each block, by its neighbours that move: what parts from what
+// is beside it stretches in one direction only.
+std::vector<double> own_growth(const Blocks& blocks, const std::vector<Pair>& pairs,
+                               Field& field, double most, double resting) {
+  std::vector<double> stretch(blocks.n), size(blocks.n);
+  for (const auto& [a, b] : pairs) {
+    if (!(field.length[a] > resting && field.length[b] > resting)) continue;
+    double stretched = 0, apart = 0;
+    for (int k = 0; k < 2; ++k) {
+      const double by = blocks.x(a, k) - blocks.x(b, k);
+      stretched += (field.parallax(a, k) - field.parallax(b, k)) * by;
+      apart += by * by;
+    }
+    for (const auto i : {a, b}) {
+      stretch[i] += stretched;
+      size[i] += apart;
+    }
+  }
+  for (py::ssize_t i = 0; i < blocks.n; ++i) {
+    stretch[i] /= std::max(size[i], 1.0);
+    if (std::abs(stretch[i]) > most) stretch[i] = 0;
+  }
+  return stretch;
+}
+
+// Pairs of neighbours whose vectors are alike, as far as they grow with what comes near.
+std::vector<Pair> alike(const Blocks& blocks, Field& field, double free_growth,
+                        const RegionRules& rules) {
+  auto pairs = neighbours(blocks, rules.reach);
+  // Where all vectors are short a pixel would join the whole scene.
+  const double slack =
+      rules.alike * std::min(std::max(rules.alike_short * median(field.length), 0.5), 1.0);
+  std::vector<double> own;
+  if (free_growth > 0) own = own_growth(blocks, pairs, field, free_growth, rules.resting);
+  const auto differs = [&](const Pair& pair) {
+    const auto [a, b] = pair;
+    // A car before a facade may move as it does for a while: what is a plane stays by itself. A
+    // car ahead may move as what is far behind it does; but that is not farther than the ground.
+    if (blocks.plane[a] != blocks.plane[b] || field.far[a] || field.far[b] ||
+        field.below[a] != field.below[b])
+      return true;
+    const auto left = [&](double share) {
+      double sum = 0;
+      for (int k = 0; k < 2; ++k)
+        sum += square(field.parallax(a, k) - field.parallax(b, k) -
+                      share * (blocks.x(a, k) - blocks.x(b, k)));
+      return std::sqrt(sum);
+    };
+    const double longer = std::max(field.length[a], field.length[b]);
+    if (left(0) < slack + rules.alike_share * longer) return false;
+    const double grown = slack + rules.alike_grown * longer;
+    const double growth = std::abs(field.growth[a]) < std::abs(field.growth[b]) ? field.growth[a]
+                                                                                : field.growth[b];
+    if (left(growth) < grown) return false;
+    return own.empty() || (left(own[a]) >= grown && left(own[b]) >= grown);
+  };
+  pairs.erase(std::remove_if(pairs.begin(), pairs.end(), differs), pairs.end());
+  // What has left where it stood is no part of what stands there, behind it or above it.
+  std::vector<int> left(blocks.n);
+  const auto sign = [&](std::int64_t i) {
+    return (blocks.departure[i] > 0) - (blocks.departure[i] < 0);
+  };
+  for (py::ssize_t i = 0; i < blocks.n; ++i) left[i] = sign(i);
+  for (const auto& [a, b] : pairs) {
+    left[a] += sign(b);
+    left[b] += sign(a);
+  }
+  pairs.erase(std::remove_if(pairs.begin(), pairs.end(),
+                             [&](const Pair& pair) {
+                               return (left[pair.a] > 0) != (left[pair.b] > 0);
+                             }),
+              pairs.end());
+  return pairs;
+}
+
+// Blocks that move as the ground does, but as their neighbours up and down, too: a car ahead shows
+// all its blocks at one depth, and at one of its rows the ground has it.
+std::vector<char> usable_blocks(const Blocks& blocks, Field& field, const std::vector<Pair>& pairs,
+                                const RegionRules& rules) {
+  std::vector<char> above(blocks.n), below(blocks.n), usable(blocks.n);
+  for (const auto& pair : pairs) {
+    if (!(std::abs(blocks.x(pair.a, 0) - blocks.x(pair.b, 0)) < rules.column)) continue;
+    for (const auto& [one, other] : {pair, Pair{pair.b, pair.a}}) {
+      if (field.ground_like[other]) continue;
+      above[one] |= blocks.x(other, 1) < blocks.x(one, 1);
+      below[one] |= blocks.x(other, 1) > blocks.x(one, 1);
+    }
+  }
+  for (py::ssize_t i = 0; i < blocks.n; ++i)
+    usable[i] = !field.ground_like[i] || (above[i] && below[i]);
+  return usable;
+}
+
+std::int64_t root(std::vector<std::int64_t>& parent, std::int64_t i) {
+  while (parent[i] != i) i = parent[i] = parent[parent[i]];
+  return i;
+}
+
+// Connected sets of usable blocks, by rising first block; returns their blocks and their starts.
+py::tuple connected(const Blocks& blocks, Field& field, const std::vector<Pair>& pairs,
+                    const std::vector<char>& usable, const RegionRules& rules) {
+  std::vector<std::int64_t> parent(blocks.n), size(blocks.n), at(blocks.n, -1), start;
+  std::vector<double> area(blocks.n);
+  std::iota(parent.begin(), parent.end(), 0);
+  for (const auto& [a, b] : pairs)
+    if (usable[a] && usable[b]) {
+      const auto one = root(parent, a), other = root(parent, b);
+      parent[std::max(one, other)] = std::min(one, other);
+    }
+  const auto counts = [&](py::ssize_t i) { return usable[i] && !field.far[i]; };
+  for (py::ssize_t i = 0; i < blocks.n; ++i)
+    if (counts(i)) {
+      const auto first = root(parent, i);
+      size[first] += 1;
+      area[first] += blocks.block(i, 0) * blocks.block(i, 1) / square(rules.macroblock);
+    }
+  std::int64_t total = 0;
+  for (py::ssize_t i = 0; i < blocks.n; ++i)
+    if (size[i] >= rules.least && area[i] >= rules.least - 0.5) {
+      at[i] = total;
+      start.push_back(total);
+      total += size[i];
+    }
+  Out<std::int64_t> members({total}), first({static_cast<py::ssize_t>(start.size())});
+  std::copy(start.begin(), start.end(), first.data());
+  for (py::ssize_t i = 0; i < blocks.n; ++i)
+    if (counts(i))
+      if (auto& next = at[root(parent, i)]; next >= 0) members[next++] = i;
+  return py::make_tuple(members.array(), first.array());
+}
+
+py::tuple moving_regions(const py::object& blocks_, const py::object& view_,
+                         const py::object& ground, double nearer, double free_growth,
+                         const py::object& constants) {
+  constexpr auto kernel = "moving_regions";
+  const Blocks blocks(kernel, blocks_);
+  const View view(kernel, view_);
+  const RegionRules rules(constants);
+  Field field(blocks.n);
+  judge_singly(blocks, view, vector(kernel, "ground", ground), nearer, rules, field);
+  mark_copied(blocks, rules, field);
+  const auto pairs = alike(blocks, field, free_growth, rules);
+  const auto usable = usable_blocks(blocks, field, pairs, rules);
+  const auto parts = connected(blocks, field, pairs, usable, rules);
+  return py::make_tuple(field.parallax.array(), field.rho.array(), field.noise.array(),
+                        field.under.array(), field.ground_like.array(), field.far.array(),
+                        field.copied.array(), field.below.array(), field.fits.array(), parts[0],
+                        parts[1]);
+}
+
+// Log-likelihoods that regions have left where they stood. Where a mover was taken for something
+// still the road is farther afterwards, too; but there nothing rises from it.
+py::array_t<double> departed(const py::object& departure, const py::object& rho,
+                             const py::object& under, const py::object& members_,
+                             const py::object& first_, const py::object& constants) {
+  constexpr auto kernel = "departed";
+  const In<double> own(kernel, "departure", departure, {ANY}),
+      depth(kernel, "rho", rho, {own.size()}),
+      ground(kernel, "under", under, {own.size()});
+  const In<std::int64_t> members(kernel, "members", members_, {ANY}),
+      first(kernel, "first", first_, {ANY});
+  check_first(kernel, first, members.size());
+  const double on_ground = number(constants, "on_ground"), share = number(constants, "rising"),
+               least = number(constants, "rising_blocks");
+  Out<double> likelihood({first.size()});
+  for (py::ssize_t r = 0; r < first.size(); ++r) {
+    const auto end = r + 1 < first.size() ? first[r + 1] : members.size();
+    double off_road = 0, left = 0;
+    for (auto k = first[r]; k < end; ++k) {
+      const auto i = members[k];
+      likelihood[r] += own[i];
+      left += own[i] > 0;
+      off_road += own[i] > 0 && std::abs(depth[i] - ground[i]) > on_ground * ground[i];
+    }
+    if (off_road < std::max(share * left, least)) likelihood[r] = std::min(likelihood[r], 0.0);
+  }
+  return likelihood.array();
+}
+
+// A table (N, 2) whose entries can be written over.
+struct Table {
+  explicit Table(const In<double>& from) : values(from.data(), from.data() + 2 * from.size()) {}
+  double& operator()(std::int64_t i, int a) { return values[2 * i + a]; }
+  double operator()(std::int64_t i, int a) const { return values[2 * i + a]; }
+  std::vector<double> values;
+};
+
+// Blocks of past pairs, movers/identity.py's Memory, as they are at a later key frame.
+struct Remembered {
+  Remembered(const char* kernel, const py::object& o, std::int64_t stamp, double width,
+             double height, std::int64_t lifetime)
+      : x(In<double>(kernel, "x", o.attr("x"), {ANY, 2})), n(x.values.size() / 2),
+        velocity(kernel, "velocity", o.attr("velocity"), {n, 2}),
+        block_(kernel, "block", o.attr("block"), {n, 2}), block(block_),
+        score(kernel, "score", o.attr("score"), {n}), left(kernel, "left", o.attr("left"), {n}),
+        id(kernel, "id", o.attr("id"), {n}), seen(kernel, "seen", o.attr("seen"), {n}) {
+    if (o.attr("stamp").is_none()) return;
+    const auto own = o.attr("stamp").cast<std::int64_t>();
+    if (stamp < own) return;
+    const double seconds = static_cast<double>(stamp - own) / 1e9;
+    for (std::int64_t i = 0; i < n; ++i) {
+      for (int a = 0; a < 2; ++a) x(i, a) += velocity(i, a) * seconds;
+      if (stamp - seen[i] < lifetime && x(i, 0) >= -0.5 && x(i, 0) < width - 0.5 &&
+          x(i, 1) >= -0.5 && x(i, 1) < height - 0.5)
+        there.push_back(i);
+    }
+  }
+  Table x;
+  py::ssize_t n;
+  In<double> velocity, block_;
+  Table block;
+  In<double> score, left;
+  In<std::int64_t> id, seen;
+  std::vector<std::int64_t> there;  // those that are known and in the picture
+};
+
+// What blocks were in the pair before: score, departure, mover; nan and -1 where that is unknown.
+py::tuple inherited(const py::object& memory, std::int64_t stamp, std::int64_t width,
+                    std::int64_t height, const py::object& x_prev, std::int64_t lifetime) {
+  constexpr auto kernel = "inherited";
+  const Remembered old(kernel, memory, stamp, width, height, lifetime);
+  const In<double> from(kernel, "x_prev", x_prev, {ANY, 2});
+  BlockGrid cells(width, height);
+  cells.paint(old.x, old.block, old.there);
+  Out<double> score({from.size()}), left({from.size()});
+  Out<std::int64_t> id({from.size()});
+  for (py::ssize_t i = 0; i < from.size(); ++i) {
+    const auto source = cells(from(i, 0), from(i, 1));
+    score[i] = source < 0 ? UNKNOWN : old.score[source];
+    left[i] = source < 0 ? UNKNOWN : old.left[source];
+    id[i] = source < 0 ? -1 : old.id[source];
+  }
+  return py::make_tuple(score.array(), left.array(), id.array());
+}
+
+// The columns of a Memory after a pair: blocks without a vector go on, those with one hide them.
+py::tuple remembered(const py::object& memory, std::int64_t stamp, std::int64_t width,
+                     std::int64_t height, const py::object& now_, double seconds, double fading,
+                     std::int64_t lifetime) {
+  constexpr auto kernel = "remembered";
+  const Remembered old(kernel, memory, stamp, width, height, lifetime);
+  const In<double> x(kernel, "x", now_.attr("x"), {ANY, 2});
+  const auto n = x.size();
+  const In<double> x_prev(kernel, "x_prev", now_.attr("x_prev"), {n, 2}),
+      block(kernel, "block", now_.attr("block"), {n, 2}),
+      score(kernel, "score", now_.attr("score"), {n}), left(kernel, "left", now_.attr("left"), {n});
+  const In<std::int64_t> id(kernel, "id", now_.attr("id"), {n});
+  BlockGrid cells(width, height);
+  std::vector<std::int64_t> all(n), kept;
+  std::iota(all.begin(), all.end(), 0);
+  cells.paint(x, block, all);
+  for (const auto i : old.there)
+    if (cells(old.x(i, 0), old.x(i, 1)) < 0) kept.push_back(i);
+  const auto before = static_cast<py::ssize_t>(kept.size()), total = before + n;
+  Out<double> to_x({total, 2}), to_block({total, 2}), to_velocity({total, 2}), to_score({total}),
+      to_left({total});
+  Out<std::int64_t> to_id({total}), to_seen({total});
+  for (py::ssize_t k = 0; k < total; ++k) {
+    const bool was = k < before;
+    const auto i = was ? kept[k] : k - before;
+    for (int a = 0; a < 2; ++a) {
+      to_x(k, a) = was ? old.x(i, a) : x(i, a);
+      to_block(k, a) = was ? old.block(i, a) : block(i, a);
+      to_velocity(k, a) = was ? old.velocity(i, a) : (x(i, a) - x_prev(i, a)) / seconds;
+    }
+    to_score[k] = was ? fading * old.score[i] : score[i];
+    to_left[k] = was ? fading * old.left[i] : left[i];
+    to_id[k] = was ? old.id[i] : id[i];
+    to_seen[k] = was ? old.seen[i] : stamp;
+  }
+  return py::make_tuple(to_x.array(), to_block.array(), to_velocity.array(), to_score.array(),
+                        to_left.array(), to_id.array(), to_seen.array());
+}
+
+// The mean of the upper half of known values, 0 where less than a third of `of` are known.
+double better_half(std::vector<double> known, std::size_t of) {
+  if (3 * known.size() < of) return 0;
+  std::sort(known.begin(), known.end());
+  double sum = 0;
+  for (auto i = known.size() / 2; i < known.size(); ++i) sum += known[i];
+  return sum / static_cast<double>(known.size() - known.size() / 2);
+}
+
+// The value that most are, the lower one of two, and how often it occurs.
+std::pair<std::int64_t, std::size_t> majority(std::vector<std::int64_t> values) {
+  std::sort(values.begin(), values.end());
+  std::pair<std::int64_t, std::size_t> most{-1, 0};
+  for (std::size_t i = 0, end; i < values.size(); i = end) {
+    for (end = i; end < values.size() && values[end] == values[i];) ++end;
+    if (end - i > most.second) most = {values[i], end - i};
+  }
+  return most;
+}
+
+struct HistoryRules {
+  double fading, same_plane;
+};
+
+// Sums the scores of regions over pairs and tells whom each continues: total and departed score
+// (R,), (R,), id of the mover or the stationary plane that it was (R,), and the new scores of all
+// blocks (N,), (N,). What is in no region this time is not forgotten at once.
+py::tuple histories(const py::object& regions, const py::object& scores_, const py::object& leaves_,
+                    const py::object& before, const py::object& plane_id, std::int64_t ground,
+                    const py::object& constants) {
+  constexpr auto kernel = "histories";
+  const In<std::int64_t> members(kernel, "members", regions.attr("members"), {ANY}),
+      first(kernel, "first", regions.attr("first"), {ANY});
+  check_first(kernel, first, members.size());
+  const In<bool> ground_like(kernel, "ground_like", regions.attr("ground_like"), {ANY});
+  const auto n = ground_like.size(), R = first.size();
+  const In<double> now(kernel, "scores", scores_, {R}), leaves(kernel, "leaves", leaves_, {R}),
+      score(kernel, "score", before.attr("score"), {n}),
+      left(kernel, "left", before.attr("left"), {n});
+  const In<std::int64_t> id(kernel, "id", before.attr("id"), {n});
+  const In<std::int32_t> plane(kernel, "plane_id", plane_id, {n});
+  const HistoryRules rules{number(constants, "fading"), number(constants, "same_plane")};
+  Out<double> total({R}), gone({R}), to_score({n}), to_left({n});
+  Out<std::int64_t> known({R});
+  for (py::ssize_t i = 0; i < n; ++i) {
+    to_score[i] = std::isnan(score[i]) || ground_like[i] ? 0 : rules.fading * score[i];
+    to_left[i] = std::isnan(left[i]) ? 0 : rules.fading * left[i];
+  }
+  for (py::ssize_t r = 0; r < R; ++r) {
+    const auto end = r + 1 < R ? first[r + 1] : members.size();
+    std::vector<double> scores, departures;
+    std::vector<std::int64_t> ids, planes;
+    for (auto k = first[r]; k < end; ++k) {
+      const auto i = members[k];
+      if (!std::isnan(score[i])) scores.push_back(score[i]);
+      if (!std::isnan(left[i])) departures.push_back(left[i]);
+      if (id[i] >= 0) ids.push_back(id[i]);
+      planes.push_back(plane[i]);
+    }
+    const auto size = static_cast<std::size_t>(end - first[r]);
+    total[r] = now[r] + rules.fading * better_half(scores, size);
+    gone[r] = std::max(leaves[r] + rules.fading * better_half(departures, size), 0.0);
+    known[r] = 3 * ids.size() >= size ? majority(ids).first : -1;
+    if (known[r] < 0) {
+      // A parked car that starts keeps its plane's id.
+      const auto [own, count] = majority(planes);
+      const auto covers = rules.same_plane * std::count(plane.data(), plane.data() + n, own);
+      const bool most = static_cast<double>(count) >= std::max(rules.same_plane * size, covers);
+      if (own >= 0 && own != ground && most)
+        known[r] = own;
+    }
+    for (auto k = first[r]; k < end; ++k) {
+      to_score[members[k]] = total[r];
+      to_left[members[k]] = gone[r];
+    }
+  }
+  return py::make_tuple(total.array(), gone.array(), known.array(), to_score.array(),
+                        to_left.array());
+}
+
+struct GrowthRules {
+  double alike, alike_share, alike_beside, inside, macroblock;
+};
+
+// Adds to each moving region the blocks in and around it that move with its plane, (11) of [MVO],
+// and not with the ground. Returns the regions' blocks, one after the other, and their starts.
+py::tuple grown(const py::object& blocks_, const py::object& regions, const py::object& moving_,
+                const py::object& products_, const py::object& view_,
+                const py::object& constants) {
+  constexpr auto kernel = "grown";
+  const Blocks blocks(kernel, blocks_);
+  const In<double> parallax(kernel, "parallax", regions.attr("parallax"), {blocks.n, 2});
+  const In<bool> ground_like(kernel, "ground_like", regions.attr("ground_like"), {blocks.n}),
+      far(kernel, "far", regions.attr("far"), {blocks.n});
+  const In<std::int64_t> members(kernel, "members", regions.attr("members"), {ANY}),
+      first(kernel, "first", regions.attr("first"), {ANY}),
+      moving(kernel, "moving", moving_, {ANY});
+  check_first(kernel, first, members.size());
+  const In<double> products(kernel, "products", products_, {moving.size(), 3, 3});
+  const View view(kernel, view_);
+  const GrowthRules rules{number(constants, "alike"), number(constants, "alike_share"),
+                          number(constants, "alike_beside"), number(constants, "inside"),
+                          number(constants, "macroblock")};
+  std::vector<char> free(blocks.n);
+  std::vector<std::vector<std::int64_t>> result;
+  const auto end_of = [&](std::int64_t r) {
+    return r + 1 < first.size() ? first[r + 1] : members.size();
+  };
+  for (py::ssize_t i = 0; i < blocks.n; ++i) free[i] = !ground_like[i];
+  for (py::ssize_t m = 0; m < moving.size(); ++m) {
+    require(moving[m] >= 0 && moving[m] < first.size(), kernel, "moving must number regions");
+    for (auto k = first[moving[m]]; k < end_of(moving[m]); ++k) free[members[k]] = false;
+  }
+  for (py::ssize_t m = 0; m < moving.size(); ++m) {
+    double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
+    result.emplace_back();
+    for (auto k = first[moving[m]]; k < end_of(moving[m]); ++k) {
+      result.back().push_back(members[k]);
+      for (int a = 0; a < 2; ++a) {
+        low[a] = std::min(low[a], blocks.x(members[k], a));
+        high[a] = std::max(high[a], blocks.x(members[k], a));
+      }
+    }
+    Mat3 motion = IDENTITY;
+    for (int i = 0; i < 9; ++i) motion[i] += products.data()[9 * m + i];
+    const Mat3 H = view.K * (transposed(view.R) * (motion * view.inverse_K));
+    // Of a car ahead the part near the horizon is never clearly farther than the ground.
+    const double beyond = rules.macroblock, top = low[1] - beyond -
+                                                  0.5 * (high[1] - low[1] + 2 * beyond);
+    for (py::ssize_t i = 0; i < blocks.n; ++i) {
+      const double at[2] = {blocks.x(i, 0), blocks.x(i, 1)};
+      if (!free[i] || at[0] < low[0] - beyond || at[0] > high[0] + beyond || at[1] < top ||
+          at[1] > high[1] + beyond)
+        continue;
+      const bool within =
+          at[0] >= low[0] && at[0] <= high[0] && at[1] >= low[1] && at[1] <= high[1];
+      const Vec3 p = H * Vec3{at[0], at[1], 1};
+      const double error = std::hypot(p[0] / p[2] - blocks.x_prev(i, 0),
+                                      p[1] / p[2] - blocks.x_prev(i, 1));
+      const double length = std::hypot(parallax(i, 0), parallax(i, 1));
+      // What a vehicle encloses is part of it, also where its vector is wrong or another face's.
+      // Beside it a pixel would join all that hardly moves.
+      const double pixel =
+          within ? rules.alike : std::min(std::max(rules.alike_beside * length, 0.5), rules.alike);
+      const double slack = (within ? rules.inside : 1.0) * (pixel + rules.alike_share * length);
+      // What is far behind a car ahead moves as it does, too.
+      if ((error < slack && (within || !far[i])) || (within && blocks.wrong[i])) {
+        free[i] = false;
+        result.back().push_back(i);
+      }
+    }
+  }
+  return listed(result);
+}
+
+}  // namespace
+}  // namespace kernels
+
+void bind_movers(pybind11::module_& module) {
+  using namespace kernels;
+  module.def("moving_regions", moving_regions);
+  module.def("departed", departed);
+  module.def("inherited", inherited);
+  module.def("remembered", remembered);
+  module.def("histories", histories);
+  module.def("grown", grown);
+}

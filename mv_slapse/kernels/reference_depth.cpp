@@ -1,0 +1,245 @@
+// What stood still a while ago, where it must be now, and what is farther than that; the labels of
+// macroblocks. movers/reference_depth.py and movers/macroblocks.py.
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "arrays.hpp"
+#include "movers.hpp"
+#include "small.hpp"
+
+namespace kernels {
+namespace {
+
+constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
+
+// The lattice of macroblocks, those that the border cuts included.
+struct Macroblocks {
+  Macroblocks(std::int64_t width, std::int64_t height)
+      : columns((width + SIZE - 1) / SIZE), rows((height + SIZE - 1) / SIZE) {}
+
+  // The number of the one that holds a pixel, row by row, -1 outside of the picture.
+  std::int64_t at(double x, double y) const {
+    const double column = std::floor((x + 0.5) / SIZE), row = std::floor((y + 0.5) / SIZE);
+    if (!(column >= 0 && column < columns && row >= 0 && row < rows)) return -1;
+    return static_cast<std::int64_t>(row) * columns + static_cast<std::int64_t>(column);
+  }
+
+  std::int64_t size() const { return columns * rows; }
+
+  // Calls `visit` with the macroblocks in the picture in and around one.
+  template <typename Visit>
+  void around(std::int64_t cell, Visit visit) const {
+    const auto row = cell / columns, column = cell % columns;
+    for (auto r = std::max<std::int64_t>(row - 1, 0); r <= std::min(row + 1, rows - 1); ++r)
+      for (auto c = std::max<std::int64_t>(column - 1, 0); c <= std::min(column + 1, columns - 1);
+           ++c)
+        visit(r * columns + c);
+  }
+
+  static constexpr int SIZE = 16;  // px, geometry/blocks.py
+  std::int64_t columns, rows;
+};
+
+// Points (N, 3) and their stamps (N,) in the camera of the next key frame, X' = R X / scale + t,
+// without those that are too old by then.
+py::tuple carry_points(const py::object& stamps_, const py::object& points_, std::int64_t stamp,
+                       std::int64_t oldest, const py::object& R_, const py::object& t_,
+                       double shrink) {
+  constexpr auto kernel = "carry_points";
+  const In<std::int64_t> stamps(kernel, "stamp", stamps_, {ANY});
+  const In<double> points(kernel, "X", points_, {stamps.size(), 3});
+  const Mat3 R = matrix(kernel, "R", R_);
+  const Vec3 t = vector(kernel, "t", t_);
+  py::ssize_t kept = 0;
+  for (py::ssize_t i = 0; i < stamps.size(); ++i) kept += stamp - stamps[i] <= oldest;
+  Out<std::int64_t> to_stamps({kept});
+  Out<double> to_points({kept, 3});
+  py::ssize_t k = 0;
+  for (py::ssize_t i = 0; i < stamps.size(); ++i) {
+    if (stamp - stamps[i] > oldest) continue;
+    const Vec3 X = R * (shrink * Vec3{points(i, 0), points(i, 1), points(i, 2)}) + t;
+    for (int a = 0; a < 3; ++a) to_points(k, a) = X[a];
+    to_stamps[k++] = stamps[i];
+  }
+  return py::make_tuple(to_stamps.array(), to_points.array());
+}
+
+struct DepartureRules {
+  explicit DepartureRules(const py::object& o)
+      : youngest(number(o, "youngest")), well_known(number(o, "well_known")),
+        least_seen(number(o, "least_seen")), farther(number(o, "farther")),
+        sigmas(number(o, "sigmas")), away(number(o, "away")), stood(number(o, "stood")),
+        least_left(number(o, "least_left")), leaving(number(o, "leaving")),
+        straying(number(o, "straying")), at_edges(number(o, "at_edges")) {}
+  double youngest, well_known, least_seen, farther, sigmas, away, stood, least_left, leaving,
+      straying, at_edges;
+};
+
+// What inverse depths were seen in macroblocks, and the least in and around them, a while ago.
+struct Reference {
+  Reference(const Macroblocks& grid, std::vector<std::vector<double>>& depths, double least_seen)
+      : inside(grid.size(), UNKNOWN), least(grid.size(), UNKNOWN) {
+    for (std::int64_t cell = 0; cell < grid.size(); ++cell)
+      if (auto& own = depths[cell]; !own.empty()) {
+        // Of all that lies in a macroblock now the median counts.
+        const auto middle = own.begin() + own.size() / 2;
+        std::nth_element(own.begin(), middle, own.end());
+        inside[cell] = *middle;
+      }
+    for (std::int64_t cell = 0; cell < grid.size(); ++cell) {
+      double smallest = INFINITE, seen = 0;
+      grid.around(cell, [&](std::int64_t k) {
+        if (std::isnan(inside[k])) return;
+        smallest = std::min(smallest, inside[k]);
+        seen += 1;
+      });
+      if (seen >= least_seen) least[cell] = smallest;
+    }
+  }
+  std::vector<double> inside, least;
+};
+
+Reference reference(const Macroblocks& grid, const In<std::int64_t>& stamps,
+                    const In<double>& points, const Mat3& K, std::int64_t stamp,
+                    const DepartureRules& rules) {
+  std::vector<std::vector<double>> depths(grid.size());
+  for (py::ssize_t i = 0; i < stamps.size(); ++i) {
+    const Vec3 X{points(i, 0), points(i, 1), points(i, 2)};
+    if (!(static_cast<double>(stamp - stamps[i]) >= rules.youngest) || !(X[2] > 0)) continue;
+    const Vec3 x = K * X;
+    if (const auto cell = grid.at(x[0] / x[2], x[1] / x[2]); cell >= 0)
+      depths[cell].push_back(1 / X[2]);
+  }
+  return Reference(grid, depths, rules.least_seen);
+}
+
+// How much rather blocks (N,) have left where they stood than not, log-likelihoods.
+py::array_t<double> departures(const py::object& past, const py::object& depths,
+                               const py::object& ground_, const py::object& K_, std::int64_t stamp,
+                               std::int64_t width, std::int64_t height,
+                               const py::object& constants) {
+  constexpr auto kernel = "departures";
+  const In<std::int64_t> stamps(kernel, "stamp", past.attr("stamp"), {ANY});
+  const In<double> points(kernel, "X", past.attr("X"), {stamps.size(), 3});
+  const In<double> x(kernel, "x", depths.attr("x"), {ANY, 2});
+  const auto n = x.size();
+  const In<double> rays(kernel, "rays", depths.attr("rays"), {n, 3}),
+      rho(kernel, "rho", depths.attr("rho"), {n}),
+      sigma(kernel, "sigma", depths.attr("sigma"), {n});
+  const DepartureRules rules(constants);
+  const Vec3 ground = vector(kernel, "ground", ground_);
+  const Macroblocks grid(width, height);
+  const auto seen =
+      reference(grid, stamps, points, matrix(kernel, "K", K_), stamp, rules);
+  std::vector<std::int64_t> cell(n);
+  std::vector<double> inside(n, UNKNOWN), least(n, UNKNOWN), sure(n);
+  std::vector<char> left(n);
+  for (py::ssize_t i = 0; i < n; ++i) {
+    cell[i] = grid.at(x(i, 0), x(i, 1));
+    if (cell[i] < 0 || !(sigma[i] < rules.well_known * rho[i])) continue;
+    sure[i] = rules.farther + rules.sigmas * sigma[i] / rho[i];
+    inside[i] = std::log(seen.inside[cell[i]] / rho[i]);
+    least[i] = std::log(seen.least[cell[i]] / rho[i]);
+    // Near things outgrow what was seen of them: between its points the farthest around counts.
+    const double far = std::isnan(inside[i]) ? least[i] : inside[i];
+    const double under = -dot({rays(i, 0), rays(i, 1), rays(i, 2)}, ground);
+    // No vehicle stood below the ground.
+    left[i] = far > sure[i] && far < rules.away && rho[i] * std::exp(far) > rules.stood * under;
+  }
+  // What departs is a body: some of it lies well within, and much of it beside.
+  const auto among = [&](const std::vector<char>& those, double enough) {
+    std::vector<char> held(grid.size()), some(n);
+    for (py::ssize_t i = 0; i < n; ++i)
+      if (those[i]) held[cell[i]] = true;
+    for (py::ssize_t i = 0; i < n; ++i) {
+      if (!left[i]) continue;
+      double count = 0;
+      grid.around(cell[i], [&](std::int64_t k) { count += held[k]; });
+      some[i] = count >= enough;
+    }
+    return some;
+  };
+  std::vector<char> within(n);
+  for (py::ssize_t i = 0; i < n; ++i) within[i] = left[i] && least[i] > 0;
+  left = among(within, 1);
+  left = among(left, rules.least_left);
+  Out<double> likelihood({n});
+  const double stays = std::log((1 - rules.leaving) / (1 - rules.straying));
+  for (py::ssize_t i = 0; i < n; ++i) {
+    if (left[i])
+      likelihood[i] = std::log(rules.leaving / (least[i] > 0 ? rules.straying : rules.at_edges));
+    if (inside[i] < sure[i])
+      likelihood[i] += stays * std::min(std::max((sure[i] - inside[i]) / (sure[i] - rules.farther),
+                                                 0.0), 1.0);
+  }
+  return likelihood.array();
+}
+
+// Label and plane of each macroblock by the area of the partitions in it; -1 where none votes. Of
+// equal votes the lower label, and the lower plane, wins.
+py::tuple vote_macroblocks(const py::object& x_, const py::object& block_, const py::object& label_,
+                           const py::object& plane_, std::int64_t width, std::int64_t height,
+                           std::int64_t unknown) {
+  constexpr auto kernel = "vote_macroblocks";
+  constexpr int LABELS = 3;
+  const In<float> x(kernel, "x", x_, {ANY, 2});
+  const auto n = x.size();
+  const In<std::uint8_t> block(kernel, "block", block_, {n, 2});
+  const In<std::int8_t> label(kernel, "label", label_, {n});
+  const In<std::int32_t> plane(kernel, "plane_id", plane_, {n});
+  const Macroblocks grid(width, height);
+  struct Vote {
+    std::int64_t cell;
+    std::int32_t plane;
+    double area;
+  };
+  std::vector<double> votes(grid.size() * LABELS);
+  std::vector<std::int64_t> cell(n, -1);
+  const auto area = [&](py::ssize_t i) { return static_cast<double>(block(i, 0)) * block(i, 1); };
+  for (py::ssize_t i = 0; i < n; ++i) {
+    if (label[i] == unknown || label[i] < 0 || label[i] >= LABELS) continue;
+    cell[i] = grid.at(x(i, 0), x(i, 1));
+    if (cell[i] >= 0) votes[cell[i] * LABELS + label[i]] += area(i);
+  }
+  Out<std::int8_t> winner({grid.size()});
+  Out<std::int32_t> plane_of({grid.size()});
+  for (std::int64_t k = 0; k < grid.size(); ++k) {
+    const auto own = votes.begin() + k * LABELS, best = std::max_element(own, own + LABELS);
+    winner[k] = static_cast<std::int8_t>(*best > 0 ? best - own : -1);
+    plane_of[k] = -1;
+  }
+  std::vector<Vote> won;
+  for (py::ssize_t i = 0; i < n; ++i)
+    if (cell[i] >= 0 && label[i] == winner[cell[i]]) won.push_back({cell[i], plane[i], area(i)});
+  std::sort(won.begin(), won.end(), [](const Vote& a, const Vote& b) {
+    return a.cell != b.cell ? a.cell < b.cell : a.plane < b.plane;
+  });
+  std::vector<double> most(grid.size());
+  for (std::size_t i = 0, end; i < won.size(); i = end) {
+    double sum = 0;
+    for (end = i; end < won.size() && won[end].cell == won[i].cell &&
+                  won[end].plane == won[i].plane;
+         ++end)
+      sum += won[end].area;
+    if (sum > most[won[i].cell]) {
+      most[won[i].cell] = sum;
+      plane_of[won[i].cell] = won[i].plane;
+    }
+  }
+  return py::make_tuple(winner.array(), plane_of.array());
+}
+
+}  // namespace
+}  // namespace kernels
+
+void bind_reference_depth(pybind11::module_& module) {
+  using namespace kernels;
+  module.def("carry_points", carry_points);
+  module.def("departures", departures);
+  module.def("vote_macroblocks", vote_macroblocks);
+}

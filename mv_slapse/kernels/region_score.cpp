@@ -1,0 +1,622 @@
+// Regions of blocks that move alike: the moving plane of each, where it lies, how little a still
+// surface explains it. movers/moving_plane.py, movers/outlines.py, movers/score.py.
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "arrays.hpp"
+#include "movers.hpp"
+#include "small.hpp"
+
+namespace kernels {
+namespace {
+
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
+constexpr int N = 5;  // unknowns of a moving surface: rate (3) and slope (2)
+
+double square(double x) { return x * x; }
+
+// The value below which a share of some values lies; they change their order.
+double rank(std::vector<double>& values, double share) {
+  const auto at = static_cast<std::size_t>(std::nearbyint(share * (values.size() - 1.0)));
+  std::nth_element(values.begin(), values.begin() + at, values.end());
+  return values[at];
+}
+
+// Blocks of one region.
+struct Region {
+  const double *rays, *x_prev, *sigma;  // (n, 2), (n, 2), (n,)
+  py::ssize_t n;
+};
+
+struct Surface {
+  double theta[N]{}, centre[2]{}, normal[N * N]{};
+};
+
+struct FitRules {
+  double iterations, converged, inlier, yaw_sigma, upright_sigma;
+};
+
+// Error of one block and its derivatives by rate and slope, (11) of [MVO], in standard deviations.
+struct Row {
+  double error[2], by[2][N];
+};
+
+Row row_of(const Region& region, py::ssize_t i, const Surface& s, const Mat3& KR) {
+  const double *ray = region.rays + 2 * i, *g = s.theta;
+  const double off[2] = {ray[0] - s.centre[0], ray[1] - s.centre[1]};
+  const double w = 1 + (off[0] * s.theta[3] + off[1] * s.theta[4]);
+  const Vec3 p = KR * Vec3{ray[0] - w * g[0], ray[1] - w * g[1], 1 - w * g[2]};
+  const Vec3 Kg = KR * Vec3{g[0], g[1], g[2]};
+  Row row;
+  for (int a = 0; a < 2; ++a) {
+    const double at = p[a] / p[2], scale = 1 / (p[2] * region.sigma[i]);
+    row.error[a] = (region.x_prev[2 * i + a] - at) / region.sigma[i];
+    for (int k = 0; k < 3; ++k) row.by[a][k] = -w * (KR[3 * a + k] - at * KR[6 + k]) * scale;
+    for (int k = 0; k < 2; ++k) row.by[a][3 + k] = -(Kg[a] - at * Kg[2]) * off[k] * scale;
+  }
+  return row;
+}
+
+// Adds the priors: surfaces of vehicles and people are upright, of any yaw; a growth of 1 in a
+// pair is beyond any use.
+void add_priors(const Vec3& down, const FitRules& rules, const Surface& s, double* normal,
+                double* slope) {
+  const double yaw = square(1 / rules.yaw_sigma);
+  const double row[2] = {(down[0] - down[2] * s.centre[0]) / rules.upright_sigma,
+                         (down[1] - down[2] * s.centre[1]) / rules.upright_sigma};
+  const double missing =
+      -down[2] / rules.upright_sigma - (row[0] * s.theta[3] + row[1] * s.theta[4]);
+  normal[3 * N + 3] += yaw;
+  slope[3] -= yaw * s.theta[3];
+  for (int a = 0; a < 2; ++a) {
+    for (int b = 0; b < 2; ++b) normal[(3 + a) * N + 3 + b] += row[a] * row[b];
+    slope[3 + a] += row[a] * missing;
+  }
+  normal[2 * N + 2] += 1;
+  slope[2] -= s.theta[2];
+}
+
+// Robust Gauss-Newton, (12) of [MVO], with the weights of Geman and McClure: a vector far off
+// counts for nothing. While the start is bad the kernel is as wide as what half of them reach.
+Surface fitted(const Region& region, const Mat3& KR, const Mat3& R, const Mat3& K_inverse,
+               const Vec3& down, const FitRules& rules, std::vector<double>& work) {
+  Surface s;
+  work.resize(region.n);
+  for (int a = 0; a < 2; ++a) {
+    for (py::ssize_t i = 0; i < region.n; ++i) work[i] = region.rays[2 * i + a];
+    // The middle of the range does not move, as a mean does, with a few blocks lost on one side.
+    const double low = rank(work, 0.05);
+    s.centre[a] = 0.5 * (low + rank(work, 0.95));
+  }
+  for (int a = 0; a < 2; ++a) {
+    for (py::ssize_t i = 0; i < region.n; ++i) {
+      const Vec3 y = R * (K_inverse * Vec3{region.x_prev[2 * i], region.x_prev[2 * i + 1], 1});
+      work[i] = region.rays[2 * i + a] - y[a] / y[2];
+    }
+    s.theta[a] = rank(work, 0.5);
+  }
+  std::vector<Row> rows(region.n);
+  for (int step = 0; step < rules.iterations; ++step) {
+    std::vector<double> squared(region.n);
+    for (py::ssize_t i = 0; i < region.n; ++i) {
+      rows[i] = row_of(region, i, s, KR);
+      squared[i] = square(rows[i].error[0]) + square(rows[i].error[1]);
+    }
+    work = squared;
+    const double width = std::max(2 * square(rules.inlier), 4 * rank(work, 0.5));
+    double slope[N]{}, change[N], factor[N * N];
+    std::fill_n(s.normal, N * N, 0.0);
+    for (py::ssize_t i = 0; i < region.n; ++i) {
+      const double weight = 1 / square(1 + squared[i] / width);
+      for (int a = 0; a < 2; ++a)
+        for (int j = 0; j < N; ++j) {
+          const double weighted = weight * rows[i].by[a][j];
+          slope[j] += weighted * rows[i].error[a];
+          for (int k = 0; k <= j; ++k) s.normal[j * N + k] += weighted * rows[i].by[a][k];
+        }
+    }
+    add_priors(down, rules, s, s.normal, slope);
+    for (int j = 0; j < N; ++j)
+      for (int k = 0; k < j; ++k) s.normal[k * N + j] = s.normal[j * N + k];
+    std::copy_n(s.normal, N * N, factor);
+    std::copy_n(slope, N, change);
+    if (!cholesky(factor, N)) break;
+    cholesky_solve(factor, N, change);
+    double gain = 0;
+    for (int j = 0; j < N; ++j) {
+      s.theta[j] += change[j];
+      gain += change[j] * slope[j];
+    }
+    if (gain < rules.converged) break;
+  }
+  return s;
+}
+
+py::tuple fit_moving_surfaces(const py::object& x, const py::object& x_prev,
+                              const py::object& sigma, const py::object& first,
+                              const py::object& camera, const py::object& down_,
+                              const py::object& constants) {
+  constexpr auto kernel = "fit_moving_surfaces";
+  const In<double> at(kernel, "x", x, {ANY, 2}), before(kernel, "x_prev", x_prev, {at.size(), 2}),
+      noise(kernel, "sigma", sigma, {at.size()});
+  const In<std::int64_t> starts(kernel, "first", first, {ANY});
+  const Mat3 K = matrix(kernel, "K", camera.attr("K")), K_inverse = inverse(K),
+             R = matrix(kernel, "R", camera.attr("R"));
+  const Mat3 KR = K * transposed(R);
+  const Vec3 down = vector(kernel, "down", down_);
+  const FitRules rules{number(constants, "iterations"), number(constants, "converged"),
+                       number(constants, "inlier"), number(constants, "yaw_sigma"),
+                       number(constants, "upright_sigma")};
+  const auto regions = starts.size();
+  check_first(kernel, starts, at.size());
+  Out<double> theta({regions, N}), covariance({regions, N, N}), centre({regions, 2}),
+      variance({regions});
+  Out<bool> inlier({at.size()});
+  std::vector<double> rays(2 * at.size()), work;
+  for (py::ssize_t i = 0; i < at.size(); ++i) {
+    const Vec3 ray = K_inverse * Vec3{at(i, 0), at(i, 1), 1};
+    rays[2 * i] = ray[0];
+    rays[2 * i + 1] = ray[1];
+  }
+  for (py::ssize_t r = 0; r < regions; ++r) {
+    const auto begin = starts[r], end = r + 1 < regions ? starts[r + 1] : at.size();
+    const Region region{rays.data() + 2 * begin, before.data() + 2 * begin, noise.data() + begin,
+                        end - begin};
+    const Surface s = fitted(region, KR, R, K_inverse, down, rules, work);
+    double sum = 0, n = 0;
+    for (py::ssize_t i = 0; i < region.n; ++i) {
+      const Row row = row_of(region, i, s, KR);
+      const double squared = square(row.error[0]) + square(row.error[1]);
+      inlier[begin + i] = squared < 2 * square(rules.inlier);
+      if (!inlier[begin + i]) continue;
+      n += 1;
+      sum += squared;
+    }
+    double factor[N * N];
+    std::copy_n(s.normal, N * N, factor);
+    const bool solvable = cholesky(factor, N);
+    // A region of wrong vectors only must not look exact.
+    variance[r] = solvable && n >= 0.5 * region.n ? sum / std::max(2 * n - N, 1.0) : INFINITE;
+    // Vectors that scatter more than their sigma says widen the covariance; none narrow it.
+    const double wider = std::isfinite(variance[r]) ? std::max(variance[r], 1.0) : 1.0;
+    for (int j = 0; j < N; ++j) {
+      double column[N]{};
+      column[j] = 1;
+      if (solvable) cholesky_solve(factor, N, column);
+      for (int k = 0; k < N; ++k) covariance.data()[(r * N + k) * N + j] = wider * column[k];
+      theta(r, j) = s.theta[j];
+    }
+    centre(r, 0) = s.centre[0];
+    centre(r, 1) = s.centre[1];
+  }
+  return py::make_tuple(theta.array(), covariance.array(), centre.array(), inlier.array(),
+                        variance.array());
+}
+
+// How many rows a pixel lies below the horizon; infinite where that is unknown.
+double below_horizon(const Vec3& ray, const Vec3& level, double focal) {
+  return level[1] < 0 ? dot(ray, level) / (level[1] / focal) : INFINITE;
+}
+
+struct LandRules {
+  double relief, farthest, dependence, iterations;
+};
+
+// How much rather a region shows still land at another height than one depth, as chi-square: land
+// looks farther than the plane of the road, as a car ahead does, but its inverse depth grows from
+// row to row as the road's does, in one proportion. Above the horizon nothing is told.
+double land_rather(const In<double>& rho, const In<double>& sigma, const std::vector<double>& under,
+                   py::ssize_t begin, py::ssize_t end, const LandRules& rules) {
+  // The capped squared error of the best multiple of a shape, reweighted as of Geman and McClure.
+  const auto misfit = [&](bool is_land, double& scale) {
+    std::vector<double> own(end - begin), weight(end - begin);
+    double error = 0;
+    for (auto i = begin; i < end; ++i)
+      own[i - begin] = weight[i - begin] =
+          under[i] > 0 ? 1 / (square(sigma[i]) + square(rules.relief * rho[i]) + 1e-18) : 0;
+    const auto shape = [&](py::ssize_t i) { return is_land ? std::max(under[i], 0.0) : 1.0; };
+    for (int k = 0; k < rules.iterations; ++k) {
+      double across = 0, length = 0;
+      for (auto i = begin; i < end; ++i) {
+        across += own[i - begin] * rho[i] * shape(i);
+        length += own[i - begin] * square(shape(i));
+      }
+      scale = across / std::max(length, 1e-12);
+      error = 0;
+      for (auto i = begin; i < end; ++i) {
+        const double squared = weight[i - begin] * square(rho[i] - scale * shape(i));
+        own[i - begin] = weight[i - begin] / square(1 + squared / rules.farthest);
+        error += std::min(squared, rules.farthest);
+      }
+    }
+    return error;
+  };
+  double share = 0, depth = 0;
+  const double land = misfit(true, share), body = misfit(false, depth);
+  // Nothing still looks farther than infinity.
+  return share > 0 ? std::max(body - land, 0.0) / rules.dependence : 0;
+}
+
+py::tuple region_outlines(const py::object& blocks, const py::object& K_, const py::object& ground_,
+                          const py::object& level_, const py::object& constants) {
+  constexpr auto kernel = "region_outlines";
+  const In<double> x(kernel, "x", blocks.attr("x"), {ANY, 2});
+  const auto n = x.size();
+  const In<double> block(kernel, "block", blocks.attr("block"), {n, 2}),
+      shift(kernel, "vector", blocks.attr("vector"), {n, 2}),
+      turn(kernel, "turned", blocks.attr("turned"), {n, 2}),
+      rho(kernel, "rho", blocks.attr("rho"), {n}),
+      sigma(kernel, "sigma", blocks.attr("sigma"), {n});
+  const In<std::int64_t> first(kernel, "first", blocks.attr("first"), {ANY});
+  check_first(kernel, first, n);
+  const Mat3 K = matrix(kernel, "K", K_), K_inverse = inverse(K);
+  const Vec3 ground = vector(kernel, "ground", ground_), level = vector(kernel, "level", level_);
+  const double covered = number(constants, "covered"), macroblock = number(constants, "macroblock"),
+               foot_height = number(constants, "foot_height"),
+               repeated = number(constants, "repeated");
+  const LandRules rules{number(constants, "relief"), number(constants, "farthest"),
+                        number(constants, "dependence"), number(constants, "iterations")};
+  const auto R = first.size();
+  Out<double> low({R, 2}), high({R, 2}), foot({R, 2}), drop({R}), under({R}), filled({R}),
+      near({R}), land({R}), turned({R, 2});
+  Out<std::int64_t> kinds({R});
+  std::vector<double> bottom, each(n);
+  for (py::ssize_t i = 0; i < n; ++i)
+    each[i] = -dot(K_inverse * Vec3{x(i, 0), x(i, 1), 1}, ground);
+  std::vector<std::int64_t> keys;
+  for (py::ssize_t r = 0; r < R; ++r) {
+    const auto begin = first[r], end = r + 1 < R ? first[r + 1] : n;
+    bottom.clear();
+    keys.clear();
+    double area = 0;
+    for (int a = 0; a < 2; ++a) {
+      low(r, a) = INFINITE;
+      high(r, a) = -INFINITE;
+    }
+    for (auto i = begin; i < end; ++i) {
+      bottom.push_back(x(i, 1) + 0.5 * block(i, 1));
+      area += block(i, 0) * block(i, 1);
+      std::int64_t key = 0;
+      for (int a = 0; a < 2; ++a) {
+        low(r, a) = std::min(low(r, a), x(i, a));
+        high(r, a) = std::max(high(r, a), x(i, a));
+        turned(r, a) += turn(i, a) / (end - begin);
+        key = key * 65536 +
+              (static_cast<std::int64_t>(std::nearbyint(shift(i, a) / repeated)) & 65535);
+      }
+      keys.push_back(key);
+    }
+    // A single block below all others is taken for a stray, as geometry.moving_plane.contact does.
+    auto sorted = bottom;
+    std::sort(sorted.begin(), sorted.end());
+    const double edge = sorted[std::max<std::ptrdiff_t>(end - begin - 2, 0)];
+    double across = 0, lowest = 0, lower = 0;
+    for (auto i = begin; i < end; ++i) {
+      if (bottom[i - begin] >= edge - 0.5) {
+        across += x(i, 0);
+        lowest += 1;
+      }
+      if (bottom[i - begin] > edge - foot_height) {
+        near[r] += rho[i];
+        lower += 1;
+      }
+    }
+    near[r] /= lower;
+    foot(r, 0) = across / lowest;
+    foot(r, 1) = edge - (0.5 - covered) * macroblock;
+    const Vec3 ray = K_inverse * Vec3{foot(r, 0), foot(r, 1), 1};
+    drop[r] = below_horizon(ray, level, K[4]);
+    under[r] = -dot(ray, ground);
+    filled[r] = area / ((high(r, 0) - low(r, 0) + macroblock) *
+                        (high(r, 1) - low(r, 1) + macroblock));
+    land[r] = land_rather(rho, sigma, each, begin, end, rules);
+    std::sort(keys.begin(), keys.end());
+    kinds[r] = std::unique(keys.begin(), keys.end()) - keys.begin();
+  }
+  return py::make_tuple(low.array(), high.array(), foot.array(), drop.array(), under.array(),
+                        filled.array(), near.array(), land.array(), kinds.array(), turned.array());
+}
+
+// Columns of all blocks of the picture, movers/score.py's Seen.
+struct SeenBlocks {
+  SeenBlocks(const char* kernel, const py::object& seen)
+      : x(kernel, "x", seen.attr("x"), {ANY, 2}),
+        rho(kernel, "rho", seen.attr("rho"), {x.size()}),
+        sigma(kernel, "sigma", seen.attr("sigma"), {x.size()}),
+        under(kernel, "under", seen.attr("under"), {x.size()}),
+        copied(kernel, "copied", seen.attr("copied"), {x.size()}) {
+    for (py::ssize_t i = 0; i < x.size(); ++i) {
+      share_copied += copied[i];
+      first = std::min(first, x(i, 0));
+      last = std::max(last, x(i, 0));
+    }
+    share_copied /= std::max<double>(x.size(), 1);
+  }
+  In<double> x, rho, sigma, under;
+  In<bool> copied;
+  double share_copied = 0, first = INFINITE, last = -INFINITE;
+};
+
+// Columns of regions, movers/outlines.py's Outlines.
+struct RegionOutlines {
+  RegionOutlines(const char* kernel, const py::object& o)
+      : low(kernel, "low", o.attr("low"), {ANY, 2}),
+        high(kernel, "high", o.attr("high"), {low.size(), 2}),
+        foot(kernel, "foot", o.attr("foot"), {low.size(), 2}),
+        drop(kernel, "drop", o.attr("drop"), {low.size()}),
+        under(kernel, "under", o.attr("under"), {low.size()}),
+        filled(kernel, "filled", o.attr("filled"), {low.size()}),
+        rho(kernel, "rho", o.attr("rho"), {low.size()}),
+        land(kernel, "land", o.attr("land"), {low.size()}),
+        turned(kernel, "turned", o.attr("turned"), {low.size(), 2}),
+        limit(kernel, "limit", o.attr("limit"), {3}),
+        kinds(kernel, "kinds", o.attr("kinds"), {low.size()}) {}
+  In<double> low, high, foot, drop, under, filled, rho, land, turned, limit;
+  In<std::int64_t> kinds;
+};
+
+struct ScoreRules {
+  explicit ScoreRules(const py::object& o)
+      : bias(number(o, "bias")), least_drop(number(o, "least_drop")),
+        foot_sigma(number(o, "foot_sigma")), edge_sigma(number(o, "edge_sigma")),
+        ground_sigma(number(o, "ground_sigma")), bank_sigma(number(o, "bank_sigma")),
+        lowest_part(number(o, "lowest_part")), least_filled(number(o, "least_filled")),
+        relief(number(o, "relief")), wide(number(o, "wide")), pull(number(o, "pull")),
+        least_ratio(number(o, "least_ratio")), clearance(number(o, "clearance")),
+        outlier(number(o, "outlier")), underbody(number(o, "underbody")),
+        least_reach(number(o, "least_reach")), half_covered(number(o, "half_covered")),
+        shown(number(o, "shown")), unseen(number(o, "unseen")), no_land(number(o, "no_land")),
+        dependence(number(o, "dependence")), around(number(o, "around")), few(number(o, "few")),
+        least_copied(number(o, "least_copied")), credit(number(o, "credit")),
+        border(number(o, "border")), together(number(o, "together")), step(number(o, "step")),
+        back(number(o, "back")), macroblock(number(o, "macroblock")) {}
+  double bias, least_drop, foot_sigma, edge_sigma, ground_sigma, bank_sigma, lowest_part,
+      least_filled, relief, wide, pull, least_ratio, clearance, outlier, underbody, least_reach,
+      half_covered, shown, unseen, no_land, dependence, around, few, least_copied, credit, border,
+      together, step, back, macroblock;
+};
+
+class Judge {
+ public:
+  Judge(const RegionOutlines& outline, const SeenBlocks& seen, const ScoreRules& rules)
+      : o(outline), seen(seen), c(rules) {}
+
+  double width(py::ssize_t r) const { return o.high(r, 0) - o.low(r, 0) + c.macroblock; }
+  double height(py::ssize_t r) const { return o.high(r, 1) - o.low(r, 1) + c.macroblock; }
+
+  // Whether a region is no larger than a vehicle.
+  bool may_be_vehicle(py::ssize_t r) const {
+    const double drop = std::max(o.drop[r], 1.0);
+    return width(r) <= drop * o.limit[0] && height(r) <= drop * o.limit[1];
+  }
+
+  // Whether it is as high as a vehicle's part or a person may be.
+  bool may_hover(py::ssize_t r) const {
+    const double share = height(r) / std::max(o.drop[r], 1.0);
+    return share >= c.lowest_part && share <= o.limit[1];
+  }
+
+  // The score that the vectors of a region deserve, which may all be wrong: short of bits an
+  // encoder goes on with the vector beside, over whole shadows.
+  double credible(py::ssize_t r) const {
+    const double reach[2] = {std::max(0.5 * width(r), c.around),
+                             std::max(0.5 * height(r), c.around)};
+    double copied = 0, n = 0;
+    for (py::ssize_t i = 0; i < seen.x.size(); ++i) {
+      bool inside = true, near = true;
+      for (int a = 0; a < 2; ++a) {
+        const double at = seen.x(i, a);
+        inside &= at >= o.low(r, a) && at <= o.high(r, a);
+        near &= at >= o.low(r, a) - reach[a] && at <= o.high(r, a) + reach[a];
+      }
+      if (!near || inside) continue;
+      n += 1;
+      copied += seen.copied[i];
+    }
+    copied = (copied + c.few * seen.share_copied) / (n + c.few);
+    copied = std::min(std::max(copied, std::max(seen.share_copied, c.least_copied)), 1.0);
+    return c.credit * static_cast<double>(o.kinds[r]) * square(1 - copied) / copied;
+  }
+
+  // How far below the horizon bodies end that stand `drop` below it: the ground shows below the
+  // body of what is near; of what is far, shadow and wheels hide it.
+  double body_end(double drop) const {
+    return drop - std::max(c.underbody * drop - c.macroblock, 0.0);
+  }
+
+  // Squared distance of a region from all that stands on the ground.
+  double hovers(py::ssize_t r, double at_foot, double sigma) const {
+    const double ratio = at_foot / o.under[r];
+    const double above = std::max(std::log(body_end(ratio * o.drop[r]) / o.drop[r]), 0.0);
+    // Where the ground is seen below it is known: only the edge is not.
+    const double spread = std::sqrt(square(c.edge_sigma / o.drop[r]) + square(c.ground_sigma) +
+                                    square(sigma / at_foot) + square(c.clearance));
+    return std::min(square(above / spread) - 1, ground_below(r, ratio));
+  }
+
+  // How much rather a region goes on above than the ground does, as chi-square: of a car ahead
+  // only the lower part looks farther than the ground. A bank beyond a ditch shows one depth, too,
+  // but it does not end within the picture.
+  double body_above(py::ssize_t r) const {
+    if (o.low(r, 0) < seen.first + c.border || o.high(r, 0) > seen.last - c.border) return 0;
+    const double highest = o.foot(r, 1) - o.limit[1] * o.drop[r], near = o.rho[r];
+    double sum = 0;
+    for (py::ssize_t i = 0; i < seen.x.size(); ++i) {
+      const double under = seen.under[i];
+      if (!(std::abs(seen.x(i, 0) - o.foot(r, 0)) < 0.5 * width(r)) || !(under > 0) ||
+          !(seen.x(i, 1) < o.low(r, 1) - c.macroblock / 2) || !(seen.x(i, 1) > highest))
+        continue;
+      const double sigma = std::hypot(seen.sigma[i], c.ground_sigma * std::max(under, near));
+      sum += std::log(likely(i, near, sigma) + c.outlier) -
+             std::log(likely(i, under, sigma) + c.outlier);
+    }
+    return 2 * sum / c.dependence;
+  }
+
+  // How much rather the ground is seen where a region would hide it, as chi-square. What stands
+  // still and looks `ratio` times nearer than the ground at its foot reaches down to where the
+  // ground is as near. What is seen there shows the ground's depth or the region's; what is nearer
+  // than both is no ground. A block that a body in the air covers in part shows the body.
+  double ground_below(py::ssize_t r, double ratio) const {
+    const double drop = o.drop[r];
+    if (!std::isfinite(drop)) return 0;
+    const double reach =
+        std::max((ratio > 1 ? body_end(ratio * drop) : ratio * drop) - drop, c.least_reach);
+    double evidence = 0, roads = 0;
+    for (py::ssize_t i = 0; i < seen.x.size(); ++i) {
+      const double below = seen.x(i, 1) - o.foot(r, 1), under = seen.under[i];
+      if (!(std::abs(seen.x(i, 0) - o.foot(r, 0)) < 0.5 * width(r)) || !(below > 0) ||
+          !(below < reach))
+        continue;
+      const double near = ratio * (ratio > 1 ? o.under[r] : under);
+      const double sigma = std::hypot(seen.sigma[i], c.ground_sigma * std::max(under, near));
+      const double nearest =
+          ratio > 1 && near > under ? std::min(seen.rho[i], near) : seen.rho[i];
+      const double body = std::exp(-0.5 * square((nearest - near) / sigma));
+      const double covered = ratio > 1 ? std::exp(-below / c.half_covered) : 0;
+      const double road = likely(i, under, sigma);
+      evidence += std::log(road + covered * body + c.outlier) - std::log(body + c.outlier);
+      roads += road > body;
+    }
+    evidence *= 2 / c.dependence;
+    // The road must show itself on some of the place.
+    const double shown = roads * square(c.macroblock) / (width(r) * reach);
+    return evidence > 0 ? evidence * std::min(shown / c.shown, 1.0) : evidence;
+  }
+
+ private:
+  double likely(py::ssize_t i, double rho, double sigma) const {
+    return std::exp(-0.5 * square((seen.rho[i] - rho) / sigma));
+  }
+
+  const RegionOutlines& o;
+  const SeenBlocks& seen;
+  const ScoreRules& c;
+};
+
+// Covariance of a region's rate with what its vectors err alike.
+Mat3 rate_covariance(const double* own, const double* rate, const double* centre,
+                     const RegionOutlines& o, py::ssize_t r, const Judge& judge, const Mat3& K,
+                     const ScoreRules& c) {
+  const double width = judge.width(r), height = judge.height(r);
+  // Vectors show the parallax at the centre and the growth: an error of that goes along the ray.
+  const double growth = c.bias / (0.5 * std::min(width, height));
+  const double ray[3] = {centre[0] * growth, centre[1] * growth, growth};
+  // A surface that is not one plane shifts its rate by a share of it.
+  const double shape = square(c.relief * std::sqrt(square(rate[0]) + square(rate[1]) +
+                                                   square(rate[2])) *
+                              std::min(1.0, std::max(width, height) / c.wide));
+  // Where a road has no texture its vectors lag behind a turn, or run ahead of it, all alike.
+  const double lag[3] = {c.pull * o.turned(r, 0) / K[0], c.pull * o.turned(r, 1) / K[4], 0};
+  Mat3 C;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j)
+      C[3 * i + j] = own[i * N + j] + lag[i] * lag[j] + ray[i] * ray[j];
+  for (int i = 0; i < 3; ++i) C[4 * i] += shape + (i < 2 ? square(c.bias / K[4 * i]) : 0.0);
+  return C;
+}
+
+py::array_t<double> region_scores(const py::object& fit, const py::object& outlines,
+                                  const py::object& K_, const py::object& t_,
+                                  const py::object& seen_, bool known_ground,
+                                  const py::object& constants) {
+  constexpr auto kernel = "region_scores";
+  const RegionOutlines o(kernel, outlines);
+  const auto R = o.low.size();
+  const In<double> theta(kernel, "theta", fit.attr("theta"), {R, N}),
+      covariance(kernel, "covariance", fit.attr("covariance"), {R, N, N}),
+      centres(kernel, "centre", fit.attr("centre"), {R, 2});
+  const SeenBlocks seen(kernel, seen_);
+  const ScoreRules c(constants);
+  const Judge judge(o, seen, c);
+  const Mat3 K = matrix(kernel, "K", K_), K_inverse = inverse(K);
+  const Vec3 t = vector(kernel, "t", t_);
+  const bool drives = t[0] != 0 || t[1] != 0 || t[2] != 0;
+  Out<double> scores({R});
+  for (py::ssize_t r = 0; r < R; ++r) {
+    const double *own = covariance.data() + r * N * N, *centre = centres.data() + 2 * r;
+    const Vec3 rate{theta(r, 0), theta(r, 1), theta(r, 2)};
+    const Mat3 W = inverse(rate_covariance(own, rate.data(), centre, o, r, judge, K, c));
+    const double information = std::max(dot(W * t, t), 1e-12);
+    const double apparent = dot(rate, W * t) / information;
+    const Vec3 error = rate - std::max(apparent, 0.0) * t;
+    double distance = dot(W * error, error) - 3;
+    // The apparent inverse depth at the foot.
+    const double drop = o.drop[r], under = o.under[r];
+    const Vec3 ray = K_inverse * Vec3{o.foot(r, 0), o.foot(r, 1), 1};
+    const double off[2] = {ray[0] - centre[0], ray[1] - centre[1]};
+    const double relative = 1 + (off[0] * theta(r, 3) + off[1] * theta(r, 4));
+    double tilt = 0;
+    for (int i = 0; i < 2; ++i)
+      for (int j = 0; j < 2; ++j) tilt += own[(3 + i) * N + 3 + j] * off[i] * off[j];
+    const double foot = apparent * std::min(std::max(relative, 0.5), 2.0);
+    const double sigma = std::hypot(1 / std::sqrt(information),
+                                    std::abs(apparent) * std::sqrt(std::max(tilt, 0.0)));
+    const bool stands = under > 0 && drives;
+    // A hedge along the road is no plane: its foot is nearer than the plane of the whole says.
+    // What is larger than a vehicle is a building, and the ground is not where it should be.
+    if (stands && judge.may_be_vehicle(r)) {
+      const double aside = std::abs(o.foot(r, 0) - K[2]) * K[4] / K[0];
+      const double share = std::sqrt((square(c.foot_sigma) + square(c.bank_sigma * aside)) /
+                                         square(std::max(drop, 1.0)) +
+                                     square(c.ground_sigma));
+      const double farthest = std::max(foot, o.rho[r]);
+      const double lacking = std::max(under - farthest, 0.0) / std::hypot(sigma, share * under);
+      const double below = square(lacking) - 1;
+      if (below > 0)
+        distance += std::min({below, std::max(c.no_land - o.land[r], 0.0),
+                              std::max(c.unseen + judge.ground_below(
+                                                      r, std::max(farthest, 0.0) / under), 0.0)});
+    }
+    const double at_foot = std::min(foot, o.rho[r]);
+    // The road's own wrong vectors are short: low or scattered, they are no vehicle.
+    if (std::isfinite(drop) && distance > 0) {
+      if (judge.height(r) < o.limit[2] * drop)
+        distance = std::min(distance, std::max(judge.body_above(r), 0.0));
+      if (o.filled[r] < c.least_filled) distance = std::min(distance, 0.0);
+    }
+    if (stands && known_ground && judge.may_hover(r) && at_foot >= c.least_ratio * under) {
+      const double hovers = judge.hovers(r, at_foot, sigma);
+      // An oncoming car follows the lines of what stands still: that it does tells nothing then.
+      distance = hovers + (hovers > 0 ? std::max(distance, 0.0) : distance);
+    }
+    // Nothing that a robot could meet ends above the horizon, higher than its camera: what a
+    // mover's score came to by mistake is taken back.
+    if (drop < c.least_drop) distance = c.back;
+    if (distance > 0) distance = std::min(distance, judge.credible(r));
+    scores[r] = std::min(std::max(distance, c.back), c.step);
+  }
+  return scores.array();
+}
+
+py::array_t<double> region_departures(const py::object& outlines, const py::object& likelihood_,
+                                      const py::object& seen_, const py::object& constants) {
+  constexpr auto kernel = "region_departures";
+  const RegionOutlines o(kernel, outlines);
+  const In<double> likelihood(kernel, "likelihood", likelihood_, {o.low.size()});
+  const SeenBlocks seen(kernel, seen_);
+  const ScoreRules c(constants);
+  const Judge judge(o, seen, c);
+  Out<double> scores({o.low.size()});
+  for (py::ssize_t r = 0; r < o.low.size(); ++r) {
+    // Above the horizon nothing is known; nor does a building leave.
+    const bool able = judge.may_be_vehicle(r) && o.drop[r] >= c.least_drop;
+    const double score = std::min(2 * likelihood[r] / c.together, judge.credible(r));
+    scores[r] = able ? std::min(std::max(score, c.back), c.step) : c.back;
+  }
+  return scores.array();
+}
+
+}  // namespace
+}  // namespace kernels
+
+void bind_region_score(pybind11::module_& module) {
+  using namespace kernels;
+  module.def("fit_moving_surfaces", fit_moving_surfaces);
+  module.def("region_outlines", region_outlines);
+  module.def("region_scores", region_scores);
+  module.def("region_departures", region_departures);
+}

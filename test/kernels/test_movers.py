@@ -1,0 +1,189 @@
+"""The kernels of movers against their formulas in numpy, on drawn streets with wrong vectors."""
+
+import movers_reference as reference
+from mv_slapse.geometry.camera import to_rays
+from mv_slapse.kernels.binding import compiled
+from mv_slapse.movers import moving_plane, outlines, reference_depth, regions, score
+from mv_slapse.movers.identity import History, Judged, LIFETIME, Memory
+from mv_slapse.movers.macroblocks import vote
+from mv_slapse.movers.moving_plane import View
+from mv_slapse.movers.reference_depth import Past
+from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus, SegmentKind
+from mv_slapse.simulation.drawn import draw
+from mv_slapse.simulation.street import Street, StreetSettings
+from mv_slapse.surfaces.consensus import Depths
+import numpy as np
+import pytest
+
+SIZE = 640, 480
+
+
+def drawn_pair(rng, stands=False):
+    """Return the blocks of a street with movers, its camera and its ground."""
+    street = Street(StreetSettings(seed=2, movers=('faster', 'oncoming'), n_frames=60))
+    drawn = draw(street, 24, 30, rng, 0.3, 0.1)
+    found, (R0, t0), (R1, t1) = drawn.correspondences, street.pose(24), street.pose(30)
+    t = R1.T @ (t0 - t1)
+    n = len(found)
+    departure = np.where(rng.uniform(size=n) < 0.1, rng.choice([5.0, -1.4], n), 0.0)
+    pair = regions._Pair(
+        *(np.ascontiguousarray(values, float) for values in (
+            found.x_cur, found.x_prev, found.block, found.sigma)), departure,
+        np.where(drawn.surface > 3, 7, -1).astype(np.int32), drawn.outlier)
+    t = np.zeros(3) if stands else t / np.linalg.norm(t)
+    view = View(street.camera.K, np.ascontiguousarray(R1.T @ R0), t)
+    return pair, view, np.array([0.0, -1 / 1.65, 0.0])
+
+
+@pytest.fixture(params=[False, True], ids=['drives', 'stands'])
+def scene(request, rng):
+    """Return a pair, its camera, its ground, and the regions of blocks that move alike."""
+    pair, view, ground = drawn_pair(rng, request.param)
+    ground, growth = (np.zeros(3), 0.2) if request.param else (ground, 0.0)
+    return pair, view, ground, growth, regions._Alike(*compiled.moving_regions(
+        pair, view, ground, 1.0, growth, regions.RULES))
+
+
+def test_blocks_are_joined_as_by_the_formula(scene):
+    pair, view, ground, growth, alike = scene
+    expected = reference.moving_regions(pair, view, ground, 1.0, growth, regions.RULES)
+    assert len(alike.first) >= 3
+    for own, other in zip(alike, expected, strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-9)
+
+
+def test_no_blocks_are_no_regions(scene):
+    pair, view, ground, growth, _ = scene
+    nothing = regions._Pair(*(column[:0] for column in pair))
+    assert not any(map(len, compiled.moving_regions(nothing, view, ground, 1.0, growth,
+                                                    regions.RULES)))
+
+
+def test_each_surface_is_fitted_as_by_the_formula(scene):
+    pair, view, ground, _, alike = scene
+    at, rules = alike.members, moving_plane.Rules()
+    fit = moving_plane.Surfaces(*compiled.fit_moving_surfaces(
+        pair.x[at], pair.x_prev[at], pair.sigma[at], alike.first, view, moving_plane.LEVEL, rules))
+    for i, member in enumerate(reference.split(at, alike.first)):
+        theta, covariance, centre, inlier, variance = reference.fit_one(
+            pair.x[member], pair.x_prev[member], pair.sigma[member], view, moving_plane.LEVEL,
+            rules)
+        np.testing.assert_allclose(fit.theta[i], theta, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(fit.centre[i], centre, atol=1e-12)
+        np.testing.assert_array_equal(fit.inlier[alike.rows(i)], inlier)
+        if np.isfinite(fit.variance[i]):
+            assert fit.variance[i] == pytest.approx(variance)
+            np.testing.assert_allclose(fit.covariance[i], covariance, rtol=1e-7, atol=1e-12)
+        else:
+            assert np.mean(inlier) < 0.5
+
+
+def test_regions_are_scored_as_by_the_formula(scene):
+    pair, view, ground, _, alike = scene
+    ground = ground if np.any(ground) else None
+    known = regions.KnownGround(ground, np.array([0.0, -1.0, 0.0]))
+    fit = regions._fitted(pair, alike, view, known)
+    at = alike.members
+    vector = pair.x_prev[at] - pair.x[at]
+    outline = outlines.outlines(
+        outlines.Blocks(pair.x[at], pair.block[at], vector, vector + alike.parallax[at],
+                        alike.rho[at], alike.noise[at], alike.first), view.K, ground, known.level,
+        1.65)
+    seen = score.Seen(pair.x, alike.rho, alike.noise, alike.under, alike.copied)
+    own = score.scores(fit, outline, view.K, view.t, seen)
+    assert np.any(own > 5)
+    np.testing.assert_allclose(
+        own, reference.scores(fit, outline, view.K, view.t, seen, 1.0, score.RULES), atol=1e-7)
+
+
+def test_moving_regions_grow_as_by_the_formula(scene, rng):
+    pair, view, _, _, alike = scene
+    moving = np.argsort(-alike.size)[:3]
+    products = rng.normal(0, 0.01, (3, 3, 3))
+    members, first = compiled.grown(pair, alike, moving, products, view, regions.RULES)
+    expected = reference.grown(pair, alike, moving, products, view, regions.RULES)
+    assert len(members) > alike.size[moving].sum()
+    for own, other in zip(reference.split(members, first), expected, strict=True):
+        np.testing.assert_array_equal(own, other)
+
+
+def extraction_of(pair, stamp=100_000_000, planes=None):
+    n = len(pair.x)
+    return Extraction(
+        stamp, stamp - 100_000_000, *SIZE, SegmentKind.PP, np.eye(3),
+        CameraMotion(MotionStatus.MOVING), x_cur=pair.x.astype(np.float32),
+        x_prev=pair.x_prev.astype(np.float32), sigma=pair.sigma.astype(np.float32),
+        block=pair.block.astype(np.uint8), label=np.zeros(n, np.int8),
+        plane_id=np.full(n, -1, np.int32) if planes is None else planes.astype(np.int32))
+
+
+def test_histories_follow_the_vectors_as_by_the_formula(rng):
+    pair, _, _ = drawn_pair(rng)
+    n = len(pair.x)
+    old = Memory().after(extraction_of(pair), Judged(
+        pair.x, pair.x_prev, pair.block, rng.normal(size=n), rng.normal(size=n),
+        rng.integers(-1, 4, n)), 9)
+    before, id_ = reference.inherited(old, extraction_of(pair, 2 * 10**8), LIFETIME)
+    found = old.inherited(extraction_of(pair, 2 * 10**8))
+    assert np.isfinite(before).any()
+    np.testing.assert_array_equal(found.score, before)
+    np.testing.assert_array_equal(found.id, id_)
+
+
+def test_regions_sum_their_better_halves_and_keep_the_id_of_most(scene, rng):
+    pair, _, _, _, alike = scene
+    n, size = len(pair.x), len(alike.first)
+    given = np.where(rng.uniform(size=n) < 0.4, rng.normal(size=n), np.nan)
+    before = History(given, -given, np.where(rng.uniform(size=n) < 0.4, rng.integers(3, 5, n), -1))
+    now, leaves = rng.normal(size=(2, size))
+    plane = pair.plane_id
+    told = regions._Scores(*compiled.histories(alike, now, leaves, before, plane, -1,
+                                               regions.RULES))
+    for i, member in enumerate(reference.split(alike.members, alike.first)):
+        known = np.sort(given[member][np.isfinite(given[member])])
+        enough = 3 * len(known) >= len(member)
+        half = known[len(known) // 2:].mean() if enough else 0.0
+        assert told.total[i] == pytest.approx(now[i] + 0.85 * half)
+        np.testing.assert_array_equal(told.score[member], told.total[i])
+        ids = before.id[member][before.id[member] >= 0]
+        if 3 * len(ids) >= len(member):
+            assert told.known[i] == np.bincount(ids).argmax()
+    outside = np.setdiff1d(np.arange(n), alike.members)
+    kept = np.where(alike.ground_like, 0.0, 0.85 * np.nan_to_num(given))
+    np.testing.assert_allclose(told.score[outside], kept[outside])
+
+
+def test_departures_are_as_by_the_formula(rng):
+    K, n = np.array([[500.0, 0, 319.5], [0, 500, 239.5], [0, 0, 1]]), 4000
+    X = rng.uniform((-8, -5, 11), (8, 5, 12), (n, 3))
+    past = Past(rng.integers(0, 5 * 10**8, n), X)
+    x = rng.uniform(0, SIZE, (1500, 2))
+    patch = np.sin(x / 50).prod(axis=1) > 0.3  # has gone, all else stands, some of it nearer
+    rho = 1 / rng.normal(np.where(patch, 14.0, 11.3), 0.2)
+    depths = Depths(to_rays(K, x), rho, 0.06 * rho * rng.uniform(size=len(x)), x)
+    ground, rules = np.array([0, -1 / 3.0, 0]), reference_depth.RULES
+    own = compiled.departures(past, depths, ground, K, 6 * 10**8, *SIZE, rules)
+    expected = reference.departures(past, depths, ground, K, 6 * 10**8, SIZE, rules)
+    assert np.sum(own > 0) > 50
+    assert np.sum(own < 0) > 50
+    np.testing.assert_allclose(own, expected, atol=1e-12)
+
+
+def test_macroblocks_are_labelled_by_area(rng):
+    n = 3000
+    x = rng.uniform(-20, 700, (n, 2))
+    pair = regions._Pair(x, x, rng.choice([8.0, 16.0], (n, 2)), np.ones(n), None, None, None)
+    extraction = extraction_of(pair, planes=rng.integers(-1, 5, n))
+    extraction.label[:] = rng.choice([*Label], n)
+    for own, other in zip(vote(extraction, extraction.x_cur),
+                          reference.votes(extraction, extraction.x_cur), strict=True):
+        np.testing.assert_array_equal(own, other)
+
+
+@pytest.mark.parametrize('first', [[1], [0, 0], [0, 4], [0, -1]])
+def test_regions_that_do_not_follow_each_other_are_refused(first, rng):
+    x = rng.uniform(0, 100, (4, 2))
+    with pytest.raises(ValueError, match='fit_moving_surfaces: first must rise'):
+        compiled.fit_moving_surfaces(x, x, np.ones(4), np.array(first),
+                                     View(np.eye(3), np.eye(3), np.zeros(3)), moving_plane.LEVEL,
+                                     moving_plane.Rules())
