@@ -328,7 +328,7 @@ with open_source(video) as source:
     next(packet for packet in source.packets() if decoder.feed(packet))
 """
 WHOLE = """
-import resource, sys, tempfile
+import sys, tempfile
 from pathlib import Path
 from mv_slapse.config import Settings
 from mv_slapse.storage.camera_info import read_camera
@@ -336,7 +336,9 @@ from mv_slapse.tools.run import run
 video = Path(sys.argv[1])
 with tempfile.TemporaryDirectory() as folder:
     run(video, read_camera(video.parent / 'camera.yaml'), Settings(), folder)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+# Not ru_maxrss: that begins with what the process that started this one had.
+status = Path('/proc/self/status').read_text()
+print(int(status.partition('VmHWM:')[2].split()[0]) / 1024)
 """
 STARTS = {  # name: code of a process of its own
     'Python alone': '',
