@@ -117,6 +117,16 @@ class _Constants:
         return str(self.values)
 
 
+def policy(**values: float) -> Callable[[Any], Any]:
+    """Return what puts other values into a policy that a kernel is given."""
+    def changed(old: dict[str, float]) -> dict[str, float]:
+        """Return the policy with these values, which it must have had."""
+        assert values.keys() <= old.keys(), f'no {values} in {sorted(old)}'
+        return {**old, **values}
+
+    return changed
+
+
 class _Gives:
     """Takes the place of anything; knows by what."""
 
@@ -194,16 +204,6 @@ def _steps(number):
     return limited
 
 
-def _without_tall(old):
-    """Return the windows' members, none of tall ones."""
-    def members(cell, shape):
-        """Leave tall windows out."""
-        nothing = np.zeros(0, int)
-        return old(cell, shape) if shape[0] == shape[1] else (nothing, nothing)
-
-    return members
-
-
 def _without_road(old):
     """Return a survey that finds no unsupported block on the road."""
     def survey(*args, **named):
@@ -270,8 +270,7 @@ RULES = (
     Rule('body', 'blocks that only together look farther than the ground are a mover',
          {MOVERS + 'body:with_bodies': gives(lambda field, members, first, *_: (members, first))}),
     Rule('upright', 'blocks of bodies tell nothing of the ground\'s height',
-         {SURFACES + 'upright:on_bodies': gives(lambda depths, drop, known:
-                                                np.zeros(len(drop), bool))}),
+         {SURFACES + 'ground:POLICY': policy(upright_sure=1e18)}),
     Rule('possibly dynamic', 'blocks that may be a mover\'s do not count for the motion: all '
          'three ways', {**LIKE_MOVERS, **BELOW_GROUND, **FROM_MOVERS}),
     Rule('planar ambiguity', 'of the two motions that one plane allows the one with the scene '
@@ -352,24 +351,19 @@ RULES = (
     Rule('height forbids a ground', 'a ground at another height than many pairs show is none',
          {SURFACES + 'height:HeightBelief.allows': YES}),
     Rule('corridor', 'the ground is looked for near the camera\'s way',
-         {SURFACES + 'ground:CORRIDOR': value(1e9)}),
+         {SURFACES + 'ground:POLICY': policy(corridor=1e9)}),
     Rule('blocks below speak', 'a known ground with much alike below it is none',
-         {SURFACES + 'ground:_most_alike': gives(lambda values: 0)}),
+         {SURFACES + 'ground:POLICY': policy(alike=0.0)}),
     Rule('upright walls', 'planes that may be upright are upright',
-         {SURFACES + 'windows:upright': gives(lambda planes, covariance, up:
-                                              (planes, covariance))}),
-    Rule('tall windows', 'windows of three columns see narrow walls',
-         {SURFACES + 'windows:_members': _without_tall}),
-    Rule('windows grown once', 'windows settle in three steps on their surfaces',
-         {SURFACES + 'windows:grown': _steps(1)}),
+         {SURFACES + 'plane_search:POLICY': policy(upright_gate=0.0)}),
     Rule('density', 'a plane fills its outline',
-         {SURFACES + 'plane_search:_density': gives(lambda x, member: 1.0)}),
+         {SURFACES + 'plane_search:POLICY': policy(density=0.0)}),
     Rule('windows\' noise', 'windows tell how large the errors are',
-         {SURFACES + 'windows:_noise': gives(lambda squared: 1.0)}),
+         {SURFACES + 'plane_search:POLICY': policy(noise_least=0.0)}),
     Rule('planes recognised', 'a plane that comes back into view has its name again',
-         {SURFACES + 'plane_track:recognised': NOTHING}),
+         {SURFACES + 'plane_track:KnownPlanes.recognised': gives(lambda *_: -1)}),
     Rule('planes missed', 'a plane that a pair does not show is kept',
-         {SURFACES + 'plane_track:KnownPlane.unseen': NOTHING}),
+         {SURFACES + 'plane_track:KnownPlanes.unseen': gives(lambda self: type(self).none())}),
     # Scene filter.
     Rule('ratio of baselines', 'the scale passes from pair to pair by their depths',
          {SCENE + 'scale.ratio:told': gives(lambda *_: [])}),

@@ -17,6 +17,14 @@ def test_what_a_rule_replaces_is_there(path):
     assert inspect.getattr_static(holder, name) is not None
 
 
+def test_what_a_rule_changes_of_a_policy_is_in_it():
+    for rule in rules.RULES:
+        for path, new in rule.off.items():
+            if path.endswith('POLICY'):
+                holder, name = rules.place(path)
+                assert new(getattr(holder, name)) != getattr(holder, name)
+
+
 def test_settings_of_rules_are_there():
     from mv_slapse.tools import rows
     case = type('Case', (), {'height': 1.0})
