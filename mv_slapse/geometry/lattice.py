@@ -1,6 +1,6 @@
 """The lattice of macroblocks: which cell a pixel lies in, and which blocks belong together."""
 
-from mv_slapse.geometry.blocks import CELL, MACROBLOCK
+from mv_slapse.geometry.blocks import CELL
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 
@@ -22,13 +22,9 @@ def paint(width: int, height: int, x: np.ndarray, block: np.ndarray, values: np.
 
     Where blocks overlap the later one wins.
     """
-    grid = np.full(shape_of(width, height), -1, np.int32)
-    for dx in range(0, MACROBLOCK, CELL):
-        for dy in range(0, MACROBLOCK, CELL):
-            inside = (dx < block[:, 0]) & (dy < block[:, 1])
-            corner = x[inside] - block[inside] / 2 + (dx + 0.5, dy + 0.5)
-            grid[cells(corner, grid.shape)] = values[inside]
-    return grid
+    return compiled.paint_cells(width, height, np.ascontiguousarray(x, float),
+                                np.ascontiguousarray(block, float),
+                                np.ascontiguousarray(values, np.int32))
 
 
 def lookup(grid: np.ndarray, x: np.ndarray) -> np.ndarray:

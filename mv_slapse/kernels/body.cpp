@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <limits>
+#include <numeric>
 #include <vector>
 
 #include "arrays.hpp"
@@ -44,28 +46,46 @@ double unevenness(const Seen& seen, const BodyRules& rules) {
   return std::max(rules.road, median(lower) / HALF_NORMAL);
 }
 
-// Sums over windows of cells for those of some depths that fit a window well.
+// Sums over windows of cells for those of some depths that fit a window well. Log-likelihoods are
+// summed in whole steps, so that sums are exact and equal windows are equal on every processor.
 class Windows {
  public:
   static constexpr int HALF = 2;  // cells to each side, 40 px in all, over which blocks tell
 
   Windows(const Seen& seen, std::int64_t width, std::int64_t height, const BodyRules& rules)
       : seen_(seen), rules_(rules), grid_(width, height), rows_(grid_.rows()),
-        columns_(grid_.columns()), ground_(seen.at.size()) {
+        columns_(grid_.columns()), n_(seen.at.size()), single_(n_), gains_(n_), steps_(n_ + 1) {
+    std::vector<std::int64_t> all(n_);
+    std::iota(all.begin(), all.end(), 0);
     grid_.paint([&](std::int64_t k, int a) { return seen.x[2 * seen.at[k] + a]; },
-                [&](std::int64_t k, int a) { return seen.block[2 * seen.at[k] + a]; },
-                numbers(seen.at.size()));
+                [&](std::int64_t k, int a) { return seen.block[2 * seen.at[k] + a]; }, all);
     double nearest = 0;
     const double uneven = unevenness(seen, rules);
-    for (std::size_t k = 0; k < ground_.size(); ++k) {
+    for (std::size_t k = 0; k < n_; ++k) {
       const auto i = seen.at[k];
-      nearest = std::max(nearest, seen.under[i]);
-      ground_[k] = square(std::max(seen.under[i] - seen.rho[i], 0.0)) /
-                   (square(seen.sigma[i]) + square(uneven * seen.under[i]));
+      const double rho = seen.rho[i], under = seen.under[i], variance = square(seen.sigma[i]);
+      nearest = std::max(nearest, under);
+      const double* size = seen.block + 2 * i;
+      single_.rho[k] = rho;
+      single_.variance[k] = variance;
+      single_.under[k] = under;
+      single_.ground[k] =
+          square(std::max(under - rho, 0.0)) / (variance + square(uneven * under));
+      single_.cells[k] = std::max(size[0] * size[1] / (BlockGrid::SIZE * BlockGrid::SIZE), 1.0);
     }
+    owners_.assign(grid_.size(), static_cast<std::int32_t>(n_));
+    for (std::int64_t cell = 0; cell < grid_.size(); ++cell) {
+      if (grid_.owner(cell) < 0) continue;
+      owners_[cell] = static_cast<std::int32_t>(grid_.owner(cell));
+      first_ = std::min(first_, cell / columns_);
+      last_ = cell / columns_;
+    }
+    across_.assign((rows_ + 2 * HALF) * columns_, 0);
+    line_.assign(columns_ + 2 * HALF, 0);
     const double step = std::pow(rules.nearest / rules.farthest, 1 / (rules.depths - 1));
     double depth = rules.farthest * nearest;
-    for (int k = 0; k < rules.depths; ++k, depth *= step) add(depth);
+    layers_.reserve(static_cast<std::size_t>(rules.depths));
+    for (int k = 0; k < rules.depths && last_ >= 0; ++k, depth *= step) add(depth);
   }
 
   // The body of the best window of all; window and body are taken out. False: none is left.
@@ -73,8 +93,9 @@ class Windows {
     const auto best = std::max_element(
         layers_.begin(), layers_.end(),
         [](const Layer& a, const Layer& b) { return a.largest < b.largest; });
-    if (best == layers_.end() || best->largest < rules_.least) return false;
-    const auto middle = std::max_element(best->sums.begin(), best->sums.end()) - best->sums.begin();
+    if (best == layers_.end() || !reaches(best->largest, rules_.least)) return false;
+    const auto middle =
+        std::find(best->sums.begin(), best->sums.end(), best->largest) - best->sums.begin();
     std::vector<std::int64_t> largest, part;
     std::vector<char> met(grid_.size());
     std::size_t most = 0;
@@ -92,80 +113,102 @@ class Windows {
       }
     });
     body.clear();
-    for (const auto k : largest) {
-      body.push_back(seen_.at[grid_.owner(k)]);
-      for (auto& layer : layers_)
-        around(k, HALF, [&](std::int64_t at) { layer.sums[at] = 0; });
-    }
+    for (const auto k : largest) body.push_back(seen_.at[grid_.owner(k)]);
     around(middle, HALF, [&](std::int64_t at) { best->sums[at] = 0; });
-    for (auto& layer : layers_)
-      layer.largest = *std::max_element(layer.sums.begin(), layer.sums.end());
+    const auto touched = surroundings(largest);
+    for (auto& layer : layers_) {
+      bool gone = &layer == &*best;
+      for (const auto at : touched) {
+        gone |= layer.sums[at] == layer.largest;
+        layer.sums[at] = 0;
+      }
+      if (!gone) continue;
+      layer.largest = 0;
+      for (const auto sum : layer.sums) layer.largest = layer.largest < sum ? sum : layer.largest;
+    }
     std::sort(body.begin(), body.end());
     body.erase(std::unique(body.begin(), body.end()), body.end());
     return true;
   }
 
  private:
+  // What single blocks tell at any depth; `cells` is how many they cover.
+  struct Single {
+    explicit Single(std::size_t n) : rho(n), variance(n), under(n), ground(n), cells(n) {}
+    std::vector<double> rho, variance, under, ground, cells;
+  };
+
   struct Layer {
-    std::vector<double> gains, sums;  // of blocks, of windows around cells
-    double largest;
+    std::vector<char> clear;         // blocks that are of the body, if there is one
+    std::vector<std::int32_t> sums;  // of windows around cells, in steps
+    std::int32_t largest;
   };
 
   static double square(double x) { return x * x; }
 
-  static std::vector<std::int64_t> numbers(std::size_t n) {
-    std::vector<std::int64_t> all(n);
-    for (std::size_t k = 0; k < n; ++k) all[k] = static_cast<std::int64_t>(k);
-    return all;
+  // The nearest whole number, the even one of two, as std::nearbyint for less than 2^51.
+  static double rounded(double x) {
+    constexpr double SHIFT = 6755399441055744.0;  // 1.5 * 2^52: there doubles are whole numbers
+    return (x + SHIFT) - SHIFT;
   }
 
-  // How much rather a block shows an inverse depth than the ground, a log-likelihood.
-  double gain(std::size_t k, double depth) const {
-    const auto i = seen_.at[k];
-    const double body = square(seen_.rho[i] - depth) /
-                        (square(seen_.sigma[i]) + square(rules_.body * depth));
-    if (!(body < square(rules_.agrees))) return 0;
-    const double rather =
-        std::min(std::max(0.5 * (ground_[k] - body), -rules_.most), rules_.most);
-    // Above the row where body and ground are equally far something still may be there.
-    return depth < seen_.under[i] ? rather : std::min(rather, 0.0);
+  bool reaches(std::int32_t sum, double likelihood) const {
+    return sum >= rules_.fine * likelihood;
+  }
+
+  // How much rather blocks show an inverse depth than the ground, log-likelihoods.
+  void gains_at(double depth) {
+    const double shape = square(rules_.body * depth), agrees = square(rules_.agrees),
+                 most = rules_.most, least = -rules_.most;
+    const double *rho = single_.rho.data(), *variance = single_.variance.data(),
+                 *under = single_.under.data(), *ground = single_.ground.data();
+    double* gains = gains_.data();
+    for (std::size_t k = 0; k < n_; ++k) {
+      const double off = rho[k] - depth, body = off * off / (variance[k] + shape);
+      double rather = 0.5 * (ground[k] - body);
+      rather = rather < least ? least : rather;
+      // Above the row where body and ground are equally far something still may be there.
+      const double limit = depth < under[k] ? most : 0;
+      rather = limit < rather ? limit : rather;
+      gains[k] = body < agrees ? rather : 0;
+    }
   }
 
   // Adds the windows of a depth, where one of them can tell of a body.
   void add(double depth) {
-    std::vector<double> gains(seen_.at.size());
+    gains_at(depth);
     double all = 0;
-    for (std::size_t k = 0; k < gains.size(); ++k) {
-      gains[k] = gain(k, depth);
-      all += std::max(gains[k], 0.0);
-    }
+    for (const double gain : gains_) all += std::max(gain, 0.0);
     if (all < rules_.least) return;
-    std::vector<double> steps(gains.size());
-    for (std::size_t k = 0; k < gains.size(); ++k) {
-      const double* size = seen_.block + 2 * seen_.at[k];
-      const double cells =
-          std::max(size[0] * size[1] / (BlockGrid::SIZE * BlockGrid::SIZE), 1.0);
-      // In steps, so that sums are exact and equal windows are equal on every processor.
-      steps[k] = std::nearbyint(rules_.fine * gains[k] / cells) / rules_.fine;
-    }
-    Layer layer{std::move(gains), std::vector<double>(grid_.size()), 0};
-    std::vector<double> line(columns_ + 2 * HALF), across(columns_);
-    for (std::int64_t row = 0; row < rows_; ++row) {
-      bool some = false;
-      for (std::int64_t k = 0; k < columns_; ++k) {
-        const auto owner = grid_.owner(row * columns_ + k);
-        line[k + HALF] = owner < 0 ? 0 : steps[owner];
-        some |= owner >= 0;
-      }
-      if (!some) continue;
+    for (std::size_t k = 0; k < n_; ++k)
+      steps_[k] = static_cast<std::int32_t>(
+          rounded(rules_.fine * gains_[k] / single_.cells[k]));
+    // Rows of sums begin HALF rows above the picture.
+    for (auto row = first_; row <= last_; ++row) {
+      const std::int32_t* owners = &owners_[row * columns_];
+      std::int32_t *line = line_.data(), *across = &across_[(row + HALF) * columns_];
+      for (std::int64_t k = 0; k < columns_; ++k) line[k + HALF] = steps_[owners[k]];
       for (std::int64_t k = 0; k < columns_; ++k)
         across[k] = line[k] + line[k + 1] + line[k + 2] + line[k + 3] + line[k + 4];
-      for (auto r = std::max<std::int64_t>(row - HALF, 0); r <= std::min(row + HALF, rows_ - 1);
-           ++r)
-        for (std::int64_t k = 0; k < columns_; ++k) layer.sums[r * columns_ + k] += across[k];
     }
-    layer.largest = *std::max_element(layer.sums.begin(), layer.sums.end());
-    if (layer.largest >= rules_.least) layers_.push_back(std::move(layer));
+    const auto top = std::max<std::int64_t>(first_ - HALF, 0),
+               bottom = std::min(last_ + HALF, rows_ - 1);
+    down_.resize((bottom - top + 1) * columns_);
+    std::int32_t largest = 0;
+    for (auto row = top; row <= bottom; ++row) {
+      const std::int32_t* from = &across_[row * columns_];
+      std::int32_t* to = &down_[(row - top) * columns_];
+      for (std::int64_t k = 0; k < columns_; ++k) {
+        to[k] = from[k] + from[k + columns_] + from[k + 2 * columns_] + from[k + 3 * columns_] +
+                from[k + 4 * columns_];
+        largest = largest < to[k] ? to[k] : largest;
+      }
+    }
+    if (!reaches(largest, rules_.least)) return;
+    Layer layer{std::vector<char>(n_), std::vector<std::int32_t>(grid_.size()), largest};
+    for (std::size_t k = 0; k < n_; ++k) layer.clear[k] = gains_[k] > rules_.clear;
+    std::copy(down_.begin(), down_.end(), layer.sums.begin() + top * columns_);
+    layers_.push_back(std::move(layer));
   }
 
   template <typename Visit>
@@ -178,9 +221,21 @@ class Windows {
         visit(r * columns_ + c);
   }
 
+  // The cells of all windows that hold one of some cells.
+  std::vector<std::int64_t> surroundings(const std::vector<std::int64_t>& cells) const {
+    std::vector<char> met(grid_.size());
+    std::vector<std::int64_t> result;
+    for (const auto cell : cells)
+      around(cell, HALF, [&](std::int64_t at) {
+        if (!met[at]) result.push_back(at);
+        met[at] = true;
+      });
+    return result;
+  }
+
   bool is_part(const Layer& layer, std::int64_t cell) const {
     const auto owner = grid_.owner(cell);
-    return owner >= 0 && layer.gains[owner] > rules_.clear && layer.sums[cell] >= rules_.faded;
+    return owner >= 0 && layer.clear[owner] && reaches(layer.sums[cell], rules_.faded);
   }
 
   std::vector<std::int64_t> flooded(const Layer& layer, std::int64_t seed,
@@ -200,7 +255,12 @@ class Windows {
   const BodyRules& rules_;
   BlockGrid grid_;
   std::int64_t rows_, columns_;
-  std::vector<double> ground_;
+  std::size_t n_;
+  Single single_;
+  std::vector<double> gains_;
+  std::vector<std::int32_t> steps_;  // gains of a cell, 0 of none behind the last
+  std::vector<std::int32_t> owners_, line_, across_, down_;
+  std::int64_t first_ = std::numeric_limits<std::int64_t>::max(), last_ = -1;  // rows with blocks
   std::vector<Layer> layers_;
 };
 

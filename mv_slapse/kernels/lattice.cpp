@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "arrays.hpp"
+#include "movers.hpp"
 
 namespace kernels {
 namespace {
@@ -136,11 +137,29 @@ std::vector<int> all(int n) {
   return blocks;
 }
 
+// The grid of cells (rows, columns) that holds the values (N,) of blocks, -1 elsewhere.
+py::array_t<std::int32_t> paint_cells(std::int64_t width, std::int64_t height,
+                                      const py::object& x_, const py::object& block_,
+                                      const py::object& values_) {
+  constexpr auto kernel = "paint_cells";
+  const In<double> x(kernel, "x", x_, {ANY, 2}), block(kernel, "block", block_, {x.size(), 2});
+  const In<std::int32_t> values(kernel, "values", values_, {x.size()});
+  BlockGrid grid(width, height);
+  std::vector<std::int64_t> those(x.size());
+  std::iota(those.begin(), those.end(), 0);
+  grid.paint(x, block, those);
+  Out<std::int32_t> cells({grid.rows(), grid.columns()});
+  for (std::int64_t k = 0; k < grid.size(); ++k)
+    cells[k] = grid.owner(k) < 0 ? -1 : values[grid.owner(k)];
+  return cells.array();
+}
+
 }  // namespace
 }  // namespace kernels
 
 void bind_lattice(pybind11::module_& module) {
   using namespace kernels;
+  module.def("paint_cells", paint_cells);
   // Number (N,) of the connected component of each pixel (N, 2).
   module.def("components", [](const py::object& x, int reach) {
     const In<double> pixels("components", "x", x, {ANY, 2}, Check::finite);

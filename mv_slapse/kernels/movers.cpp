@@ -27,43 +27,39 @@ struct Pair {
 class Squares {
  public:
   Squares(const In<double>& x, const std::vector<std::int64_t>& those, double reach)
-      : x_(x), those_(those), reach_(reach) {
-    for (const auto i : those) {
-      columns_ = std::max(columns_, column(i) + 1);
-      rows_ = std::max(rows_, row(i) + 1);
+      : column_(those.size()), row_(those.size()), sorted_(those.size()) {
+    // What the lens moved out of the picture lies in the squares at its border, or around there.
+    const auto index = [reach](double at) {
+      return static_cast<std::int64_t>(std::min(std::max(at / reach + 4, 0.0), 2000.0));
+    };
+    for (std::size_t k = 0; k < those.size(); ++k) {
+      column_[k] = index(x(those[k], 0));
+      row_[k] = index(x(those[k], 1));
+      columns_ = std::max(columns_, column_[k] + 1);
+      rows_ = std::max(rows_, row_[k] + 1);
     }
     first_.assign(columns_ * rows_ + 1, 0);
-    for (const auto i : those) ++first_[cell(i) + 1];
+    for (std::size_t k = 0; k < those.size(); ++k) ++first_[row_[k] * columns_ + column_[k] + 1];
     std::partial_sum(first_.begin(), first_.end(), first_.begin());
-    sorted_.resize(those.size());
     auto at = first_;
-    for (const auto i : those) sorted_[at[cell(i)]++] = i;
+    for (std::size_t k = 0; k < those.size(); ++k)
+      sorted_[at[row_[k] * columns_ + column_[k]]++] = those[k];
   }
 
-  // Calls `visit` with each other block in the squares in and around that of block i.
+  // Calls `visit` with each block in the squares in and around that of the k-th, itself too.
   template <typename Visit>
-  void around(std::int64_t i, Visit visit) const {
-    for (auto r = std::max<std::int64_t>(row(i) - 1, 0); r <= std::min(row(i) + 1, rows_ - 1); ++r)
-      for (auto k = std::max<std::int64_t>(column(i) - 1, 0);
-           k <= std::min(column(i) + 1, columns_ - 1); ++k)
-        for (auto at = first_[r * columns_ + k]; at < first_[r * columns_ + k + 1]; ++at)
-          if (sorted_[at] != i) visit(sorted_[at]);
+  void around(std::size_t k, Visit visit) const {
+    const auto left = std::max<std::int64_t>(column_[k] - 1, 0),
+               right = std::min(column_[k] + 1, columns_ - 1);
+    for (auto r = std::max<std::int64_t>(row_[k] - 1, 0); r <= std::min(row_[k] + 1, rows_ - 1);
+         ++r)
+      for (auto at = first_[r * columns_ + left]; at < first_[r * columns_ + right + 1]; ++at)
+        visit(sorted_[at]);
   }
 
  private:
-  std::int64_t column(std::int64_t i) const { return index(x_(i, 0)); }
-  std::int64_t row(std::int64_t i) const { return index(x_(i, 1)); }
-  std::int64_t cell(std::int64_t i) const { return row(i) * columns_ + column(i); }
-  // What the lens moved out of the picture lies in the squares at its border, or around there.
-  std::int64_t index(double at) const {
-    return static_cast<std::int64_t>(std::min(std::max(at / reach_ + 4, 0.0), 2000.0));
-  }
-
-  const In<double>& x_;
-  const std::vector<std::int64_t>& those_;
-  double reach_;
   std::int64_t columns_ = 0, rows_ = 0;
-  std::vector<std::int64_t> first_, sorted_;
+  std::vector<std::int64_t> column_, row_, first_, sorted_;
 };
 
 struct RegionRules {
@@ -164,14 +160,16 @@ void mark_copied(const Blocks& blocks, const RegionRules& rules, Field& field) {
     if (blocks.wrong[i]) wrong.push_back(i);
   const auto vector = [&](std::int64_t i, int a) { return blocks.x_prev(i, a) - blocks.x(i, a); };
   const Squares squares(blocks.x, wrong, rules.reach);
-  for (const auto i : wrong)
-    squares.around(i, [&](std::int64_t k) {
-      bool same = true;
+  for (std::size_t at = 0; at < wrong.size(); ++at) {
+    const auto i = wrong[at];
+    squares.around(at, [&](std::int64_t k) {
+      bool same = k != i;
       for (int a = 0; a < 2; ++a)
         same &= std::abs(blocks.x(i, a) - blocks.x(k, a)) <= rules.reach &&
                 std::abs(vector(i, a) - vector(k, a)) <= rules.repeated;
       if (same) field.copied[i] = true;
     });
+  }
 }
 
 std::vector<Pair> neighbours(const Blocks& blocks, double reach) {
@@ -179,12 +177,15 @@ std::vector<Pair> neighbours(const Blocks& blocks, double reach) {
   std::iota(all.begin(), all.end(), 0);
   const Squares squares(blocks.x, all, reach);
   std::vector<Pair> pairs;
-  for (const auto i : all)
+  pairs.reserve(8 * blocks.n);
+  const double farthest = square(reach);
+  for (py::ssize_t i = 0; i < blocks.n; ++i) {
+    const double x = blocks.x(i, 0), y = blocks.x(i, 1);
     squares.around(i, [&](std::int64_t k) {
-      if (k > i && square(blocks.x(i, 0) - blocks.x(k, 0)) +
-                           square(blocks.x(i, 1) - blocks.x(k, 1)) <= square(reach))
+      if (k > i && square(x - blocks.x(k, 0)) + square(y - blocks.x(k, 1)) <= farthest)
         pairs.push_back({i, k});
     });
+  }
   return pairs;
 }
 

@@ -87,9 +87,8 @@ class BlockGrid {
 
  private:
   std::int64_t at(double x, double y) const {
-    const auto clipped = [](double at, std::int64_t n) {
-      return static_cast<std::int64_t>(
-          std::min(std::max(std::floor((at + 0.5) / SIZE), 0.0), n - 1.0));
+    const auto clipped = [](double at, std::int64_t n) {  // what is not negative is cut down
+      return static_cast<std::int64_t>(std::min(std::max((at + 0.5) / SIZE, 0.0), n - 1.0));
     };
     return clipped(y, rows_) * columns_ + clipped(x, columns_);
   }

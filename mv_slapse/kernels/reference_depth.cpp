@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <numeric>
 #include <vector>
 
 #include "arrays.hpp"
@@ -24,7 +25,7 @@ struct Macroblocks {
 
   // The number of the one that holds a pixel, row by row, -1 outside of the picture.
   std::int64_t at(double x, double y) const {
-    const double column = std::floor((x + 0.5) / SIZE), row = std::floor((y + 0.5) / SIZE);
+    const double column = (x + 0.5) / SIZE, row = (y + 0.5) / SIZE;
     if (!(column >= 0 && column < columns && row >= 0 && row < rows)) return -1;
     return static_cast<std::int64_t>(row) * columns + static_cast<std::int64_t>(column);
   }
@@ -82,40 +83,67 @@ struct DepartureRules {
 
 // What inverse depths were seen in macroblocks, and the least in and around them, a while ago.
 struct Reference {
-  Reference(const Macroblocks& grid, std::vector<std::vector<double>>& depths, double least_seen)
+  // Depths `seen` in `cell`, both (n,).
+  Reference(const Macroblocks& grid, const std::vector<std::int64_t>& cell,
+            const std::vector<double>& seen, double least_seen)
       : inside(grid.size(), UNKNOWN), least(grid.size(), UNKNOWN) {
-    for (std::int64_t cell = 0; cell < grid.size(); ++cell)
-      if (auto& own = depths[cell]; !own.empty()) {
+    std::vector<std::int64_t> end(grid.size() + 1);
+    for (const auto k : cell) ++end[k + 1];
+    std::partial_sum(end.begin(), end.end(), end.begin());
+    std::vector<double> sorted(seen.size());
+    for (std::size_t i = 0; i < seen.size(); ++i) sorted[end[cell[i]]++] = seen[i];
+    for (std::int64_t k = 0, begin = 0; k < grid.size(); begin = end[k++])
+      if (end[k] > begin) {
         // Of all that lies in a macroblock now the median counts.
-        const auto middle = own.begin() + own.size() / 2;
-        std::nth_element(own.begin(), middle, own.end());
-        inside[cell] = *middle;
+        const auto middle = sorted.begin() + begin + (end[k] - begin) / 2;
+        std::nth_element(sorted.begin() + begin, middle, sorted.begin() + end[k]);
+        inside[k] = *middle;
       }
-    for (std::int64_t cell = 0; cell < grid.size(); ++cell) {
-      double smallest = INFINITE, seen = 0;
-      grid.around(cell, [&](std::int64_t k) {
-        if (std::isnan(inside[k])) return;
-        smallest = std::min(smallest, inside[k]);
-        seen += 1;
-      });
-      if (seen >= least_seen) least[cell] = smallest;
-    }
+    surround(grid, least_seen);
   }
   std::vector<double> inside, least;
+
+ private:
+  // The least of nine macroblocks, where enough of them are known: along rows, then across them.
+  void surround(const Macroblocks& grid, double least_seen) {
+    const auto columns = grid.columns, wide = columns + 2;
+    std::vector<double> line(wide, INFINITE), across((grid.rows + 2) * columns, INFINITE);
+    std::vector<int> known(wide), seen((grid.rows + 2) * columns);
+    for (std::int64_t r = 0; r < grid.rows; ++r) {
+      for (std::int64_t c = 0; c < columns; ++c) {
+        const double own = inside[r * columns + c];
+        known[c + 1] = own == own;
+        line[c + 1] = own == own ? own : INFINITE;
+      }
+      for (std::int64_t c = 0; c < columns; ++c) {
+        const auto at = (r + 1) * columns + c;
+        across[at] = std::min(std::min(line[c], line[c + 1]), line[c + 2]);
+        seen[at] = known[c] + known[c + 1] + known[c + 2];
+      }
+    }
+    for (std::int64_t k = 0; k < grid.size(); ++k)
+      if (seen[k] + seen[k + columns] + seen[k + 2 * columns] >= least_seen)
+        least[k] = std::min(std::min(across[k], across[k + columns]), across[k + 2 * columns]);
+  }
 };
 
 Reference reference(const Macroblocks& grid, const In<std::int64_t>& stamps,
                     const In<double>& points, const Mat3& K, std::int64_t stamp,
                     const DepartureRules& rules) {
-  std::vector<std::vector<double>> depths(grid.size());
+  std::vector<std::int64_t> cells;
+  std::vector<double> depths;
+  cells.reserve(stamps.size());
+  depths.reserve(stamps.size());
   for (py::ssize_t i = 0; i < stamps.size(); ++i) {
     const Vec3 X{points(i, 0), points(i, 1), points(i, 2)};
     if (!(static_cast<double>(stamp - stamps[i]) >= rules.youngest) || !(X[2] > 0)) continue;
     const Vec3 x = K * X;
-    if (const auto cell = grid.at(x[0] / x[2], x[1] / x[2]); cell >= 0)
-      depths[cell].push_back(1 / X[2]);
+    if (const auto cell = grid.at(x[0] / x[2], x[1] / x[2]); cell >= 0) {
+      cells.push_back(cell);
+      depths.push_back(1 / X[2]);
+    }
   }
-  return Reference(grid, depths, rules.least_seen);
+  return Reference(grid, cells, depths, rules.least_seen);
 }
 
 // How much rather blocks (N,) have left where they stood than not, log-likelihoods.
@@ -137,16 +165,19 @@ py::array_t<double> departures(const py::object& past, const py::object& depths,
   const auto seen =
       reference(grid, stamps, points, matrix(kernel, "K", K_), stamp, rules);
   std::vector<std::int64_t> cell(n);
-  std::vector<double> inside(n, UNKNOWN), least(n, UNKNOWN), sure(n);
-  std::vector<char> left(n);
+  std::vector<double> inside(n, UNKNOWN), sure(n);
+  std::vector<char> left(n), beside(n);  // beside: farther than all that was seen around, too
   for (py::ssize_t i = 0; i < n; ++i) {
     cell[i] = grid.at(x(i, 0), x(i, 1));
     if (cell[i] < 0 || !(sigma[i] < rules.well_known * rho[i])) continue;
     sure[i] = rules.farther + rules.sigmas * sigma[i] / rho[i];
-    inside[i] = std::log(seen.inside[cell[i]] / rho[i]);
-    least[i] = std::log(seen.least[cell[i]] / rho[i]);
+    const double own = seen.inside[cell[i]], least = seen.least[cell[i]];
     // Near things outgrow what was seen of them: between its points the farthest around counts.
-    const double far = std::isnan(inside[i]) ? least[i] : inside[i];
+    const bool known = !std::isnan(own);
+    if (!known && std::isnan(least)) continue;
+    const double far = std::log((known ? own : least) / rho[i]);
+    if (known) inside[i] = far;
+    beside[i] = least / rho[i] > 1;
     const double under = -dot({rays(i, 0), rays(i, 1), rays(i, 2)}, ground);
     // No vehicle stood below the ground.
     left[i] = far > sure[i] && far < rules.away && rho[i] * std::exp(far) > rules.stood * under;
@@ -165,14 +196,15 @@ py::array_t<double> departures(const py::object& past, const py::object& depths,
     return some;
   };
   std::vector<char> within(n);
-  for (py::ssize_t i = 0; i < n; ++i) within[i] = left[i] && least[i] > 0;
+  for (py::ssize_t i = 0; i < n; ++i) within[i] = left[i] && beside[i];
   left = among(within, 1);
   left = among(left, rules.least_left);
   Out<double> likelihood({n});
-  const double stays = std::log((1 - rules.leaving) / (1 - rules.straying));
+  const double stays = std::log((1 - rules.leaving) / (1 - rules.straying)),
+               well_within = std::log(rules.leaving / rules.straying),
+               at_edges = std::log(rules.leaving / rules.at_edges);
   for (py::ssize_t i = 0; i < n; ++i) {
-    if (left[i])
-      likelihood[i] = std::log(rules.leaving / (least[i] > 0 ? rules.straying : rules.at_edges));
+    if (left[i]) likelihood[i] = beside[i] ? well_within : at_edges;
     if (inside[i] < sure[i])
       likelihood[i] += stays * std::min(std::max((sure[i] - inside[i]) / (sure[i] - rules.farther),
                                                  0.0), 1.0);

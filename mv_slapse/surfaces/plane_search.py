@@ -15,7 +15,7 @@ well known by then. Chance planes do not return, or stay vague.
 from dataclasses import dataclass
 from functools import cached_property
 
-from mv_slapse.geometry import lattice
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.plane_track import GATE, KnownPlanes
@@ -40,7 +40,7 @@ POLICY = {
     'lean': 0.03,  # rad: how far walls lean
     'upright_gate': 9.0,  # squared, 3 sigma: a plane this near to upright is taken as upright
     'dependence': 6.0,  # neighbouring vectors err together: so many tell as much as one
-    'reach': 12 * lattice.MACROBLOCK,  # px: a plane grows this far before it is chosen
+    'reach': 12 * MACROBLOCK,  # px: a plane grows this far before it is chosen
     # Over the median of squared errors: a Gaussian's is 0.455, and a window's own plane takes 3 of
     # some 20 degrees of freedom away.
     'noise_least': 1 / 0.455 / 0.87,

@@ -1,6 +1,7 @@
 """Ratio of baselines in numpy: the formulas of its kernels, as reference."""
 
 from mv_slapse.geometry import lattice
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.motion.baseline import (
     BaselineRatio,
     CHANGE,
@@ -16,7 +17,7 @@ STEPS = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)])  # macroblock
 
 def at(depths, x):
     """Interpolate a DepthMap at pixels (N, 2): rho (N,), sigma (N,)."""
-    row, column = lattice.cells(x, np.subtract(depths.grid.shape, 2), lattice.MACROBLOCK)
+    row, column = lattice.cells(x, np.subtract(depths.grid.shape, 2), MACROBLOCK)
     near = depths.grid[row[:, None] + 1 + STEPS[:, 0], column[:, None] + 1 + STEPS[:, 1]]
     rho, middle = depths.rho[near], depths.rho[near[:, [4]]]
     sigma = sigma_of(depths, near, rho)
@@ -25,7 +26,7 @@ def at(depths, x):
     mean = np.sum(rho * same, axis=1, keepdims=True) / np.maximum(
         same.sum(axis=1, keepdims=True), 1)
     weight = np.where(same, sigma_of(depths, near, mean)**-2, 0.0)
-    dx, dy = np.moveaxis((depths.x[near] - x[:, None]) / lattice.MACROBLOCK, 2, 0)
+    dx, dy = np.moveaxis((depths.x[near] - x[:, None]) / MACROBLOCK, 2, 0)
     value, error = _at_origin(dx, dy, rho, weight)
     unknown = same.sum(axis=1) < MIN_NEIGHBOURS
     value[unknown] = error[unknown] = np.nan
@@ -60,7 +61,7 @@ def depth_grid(shape, x, usable):
     """Return the grid of a DepthMap."""
     grid = np.full(np.add(shape, 2), -1)
     index = np.flatnonzero(usable)
-    row, column = lattice.cells(x[index], shape, lattice.MACROBLOCK)
+    row, column = lattice.cells(x[index], shape, MACROBLOCK)
     grid[row + 1, column + 1] = index
     return grid
 
