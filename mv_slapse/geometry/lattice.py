@@ -1,20 +1,7 @@
 """The lattice of macroblocks: which cell a pixel lies in, and which blocks belong together."""
 
-from mv_slapse.geometry.blocks import CELL
 from mv_slapse.kernels.binding import compiled
 import numpy as np
-
-
-def cells(x: np.ndarray, shape: tuple[int, int], size: int = CELL) -> tuple:
-    """Return row and column of the cells in which pixels (N, 2) lie, clipped to a shape."""
-    column = np.clip(np.floor((x[:, 0] + 0.5) / size).astype(int), 0, shape[1] - 1)
-    row = np.clip(np.floor((x[:, 1] + 0.5) / size).astype(int), 0, shape[0] - 1)
-    return row, column
-
-
-def shape_of(width: int, height: int, size: int = CELL) -> tuple[int, int]:
-    """Return rows and columns of the lattice of a picture [px]."""
-    return -(-height // size), -(-width // size)
 
 
 def paint(width: int, height: int, x: np.ndarray, block: np.ndarray, values: np.ndarray):
@@ -29,9 +16,7 @@ def paint(width: int, height: int, x: np.ndarray, block: np.ndarray, values: np.
 
 def lookup(grid: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return the grid's value at pixels (N, 2), -1 outside."""
-    inside = ((x[:, 0] >= -0.5) & (x[:, 0] < grid.shape[1] * CELL - 0.5)
-              & (x[:, 1] >= -0.5) & (x[:, 1] < grid.shape[0] * CELL - 0.5))
-    return np.where(inside, grid[cells(x, grid.shape)], -1)
+    return compiled.look_up_cells(grid, np.ascontiguousarray(x, float))
 
 
 def count_macroblocks(x: np.ndarray) -> int:

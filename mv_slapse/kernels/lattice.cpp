@@ -154,12 +154,32 @@ py::array_t<std::int32_t> paint_cells(std::int64_t width, std::int64_t height,
   return cells.array();
 }
 
+// The values of such a grid at pixels (N, 2), -1 outside.
+py::array_t<std::int32_t> look_up_cells(const py::object& grid_, const py::object& x_) {
+  constexpr auto kernel = "look_up_cells";
+  const In<std::int32_t> grid(kernel, "grid", grid_, {ANY, ANY});
+  const In<double> x(kernel, "x", x_, {ANY, 2});
+  Out<std::int32_t> values({x.size()});
+  const auto at = [](double v, py::ssize_t n) {
+    v += 0.5;
+    return v >= 0 && v < static_cast<double>(n * BlockGrid::SIZE)
+               ? static_cast<py::ssize_t>(v / BlockGrid::SIZE)
+               : -1;
+  };
+  for (py::ssize_t i = 0; i < x.size(); ++i) {
+    const auto column = at(x(i, 0), grid.size(1)), row = at(x(i, 1), grid.size(0));
+    values[i] = column < 0 || row < 0 ? -1 : grid(row, column);
+  }
+  return values.array();
+}
+
 }  // namespace
 }  // namespace kernels
 
 void bind_lattice(pybind11::module_& module) {
   using namespace kernels;
   module.def("paint_cells", paint_cells);
+  module.def("look_up_cells", look_up_cells);
   // Number (N,) of the connected component of each pixel (N, 2).
   module.def("components", [](const py::object& x, int reach) {
     const In<double> pixels("components", "x", x, {ANY, 2}, Check::finite);

@@ -20,7 +20,7 @@ constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
 double square(double x) { return x * x; }
 
 struct Pair {
-  std::int64_t a, b;
+  std::int32_t a, b;
 };
 
 // Blocks sorted into squares of `reach`, so that neighbours lie in the same one or beside it.
@@ -176,16 +176,20 @@ std::vector<Pair> neighbours(const Blocks& blocks, double reach) {
   std::vector<std::int64_t> all(blocks.n);
   std::iota(all.begin(), all.end(), 0);
   const Squares squares(blocks.x, all, reach);
-  std::vector<Pair> pairs;
-  pairs.reserve(8 * blocks.n);
+  std::vector<Pair> pairs(16 * blocks.n);
+  std::size_t found = 0;
   const double farthest = square(reach);
   for (py::ssize_t i = 0; i < blocks.n; ++i) {
     const double x = blocks.x(i, 0), y = blocks.x(i, 1);
     squares.around(i, [&](std::int64_t k) {
-      if (k > i && square(x - blocks.x(k, 0)) + square(y - blocks.x(k, 1)) <= farthest)
-        pairs.push_back({i, k});
+      if (found == pairs.size()) pairs.resize(2 * found);
+      // Each is written and only those near enough are kept: nothing to mispredict.
+      pairs[found] = {static_cast<std::int32_t>(i), static_cast<std::int32_t>(k)};
+      found += (k > i) &
+               (square(x - blocks.x(k, 0)) + square(y - blocks.x(k, 1)) <= farthest);
     });
   }
+  pairs.resize(found);
   return pairs;
 }
 

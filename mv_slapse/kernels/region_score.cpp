@@ -33,6 +33,7 @@ struct Region {
 
 struct Surface {
   double theta[N]{}, centre[2]{}, normal[N * N]{};
+  Vec3 rate() const { return {theta[0], theta[1], theta[2]}; }
 };
 
 struct FitRules {
@@ -44,12 +45,12 @@ struct Row {
   double error[2], by[2][N];
 };
 
-Row row_of(const Region& region, py::ssize_t i, const Surface& s, const Mat3& KR) {
+// `Kg` is KR times the rate.
+Row row_of(const Region& region, py::ssize_t i, const Surface& s, const Mat3& KR, const Vec3& Kg) {
   const double *ray = region.rays + 2 * i, *g = s.theta;
   const double off[2] = {ray[0] - s.centre[0], ray[1] - s.centre[1]};
   const double w = 1 + (off[0] * s.theta[3] + off[1] * s.theta[4]);
   const Vec3 p = KR * Vec3{ray[0] - w * g[0], ray[1] - w * g[1], 1 - w * g[2]};
-  const Vec3 Kg = KR * Vec3{g[0], g[1], g[2]};
   Row row;
   for (int a = 0; a < 2; ++a) {
     const double at = p[a] / p[2], scale = 1 / (p[2] * region.sigma[i]);
@@ -99,25 +100,26 @@ Surface fitted(const Region& region, const Mat3& KR, const Mat3& R, const Mat3& 
     s.theta[a] = rank(work, 0.5);
   }
   std::vector<Row> rows(region.n);
+  std::vector<double> squared(region.n);
   for (int step = 0; step < rules.iterations; ++step) {
-    std::vector<double> squared(region.n);
+    const Vec3 Kg = KR * s.rate();
     for (py::ssize_t i = 0; i < region.n; ++i) {
-      rows[i] = row_of(region, i, s, KR);
+      rows[i] = row_of(region, i, s, KR, Kg);
       squared[i] = square(rows[i].error[0]) + square(rows[i].error[1]);
     }
     work = squared;
     const double width = std::max(2 * square(rules.inlier), 4 * rank(work, 0.5));
-    double slope[N]{}, change[N], factor[N * N];
-    std::fill_n(s.normal, N * N, 0.0);
+    double slope[N]{}, normal[N * N]{}, change[N], factor[N * N];
     for (py::ssize_t i = 0; i < region.n; ++i) {
       const double weight = 1 / square(1 + squared[i] / width);
       for (int a = 0; a < 2; ++a)
         for (int j = 0; j < N; ++j) {
           const double weighted = weight * rows[i].by[a][j];
           slope[j] += weighted * rows[i].error[a];
-          for (int k = 0; k <= j; ++k) s.normal[j * N + k] += weighted * rows[i].by[a][k];
+          for (int k = 0; k <= j; ++k) normal[j * N + k] += weighted * rows[i].by[a][k];
         }
     }
+    std::copy_n(normal, N * N, s.normal);
     add_priors(down, rules, s, s.normal, slope);
     for (int j = 0; j < N; ++j)
       for (int k = 0; k < j; ++k) s.normal[k * N + j] = s.normal[j * N + k];
@@ -166,9 +168,10 @@ py::tuple fit_moving_surfaces(const py::object& x, const py::object& x_prev,
     const Region region{rays.data() + 2 * begin, before.data() + 2 * begin, noise.data() + begin,
                         end - begin};
     const Surface s = fitted(region, KR, R, K_inverse, down, rules, work);
+    const Vec3 Kg = KR * s.rate();
     double sum = 0, n = 0;
     for (py::ssize_t i = 0; i < region.n; ++i) {
-      const Row row = row_of(region, i, s, KR);
+      const Row row = row_of(region, i, s, KR, Kg);
       const double squared = square(row.error[0]) + square(row.error[1]);
       inlier[begin + i] = squared < 2 * square(rules.inlier);
       if (!inlier[begin + i]) continue;
@@ -604,7 +607,8 @@ py::array_t<double> region_departures(const py::object& outlines, const py::obje
   for (py::ssize_t r = 0; r < o.low.size(); ++r) {
     // Above the horizon nothing is known; nor does a building leave.
     const bool able = judge.may_be_vehicle(r) && o.drop[r] >= c.least_drop;
-    const double score = std::min(2 * likelihood[r] / c.together, judge.credible(r));
+    double score = 2 * likelihood[r] / c.together;
+    if (able && score > 0) score = std::min(score, judge.credible(r));
     scores[r] = able ? std::min(std::max(score, c.back), c.step) : c.back;
   }
   return scores.array();

@@ -125,7 +125,9 @@ class _Alike(NamedTuple):
     @property
     def size(self) -> np.ndarray:
         """Return the number of blocks of each region, (R,)."""
-        return np.diff(self.first, append=len(self.members))
+        size = np.full(len(self.first), len(self.members))
+        size[:-1] = self.first[1:]
+        return size - self.first
 
     def rows(self, i: int) -> slice:
         """Return where the blocks of region i are among the members."""
@@ -179,10 +181,11 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     now = _scored(pair, alike, fit, view, ground)
     told = _summed(extraction, pair, alike, now, memory, ground)
     moves = _moves(pair, alike, told, threshold, ground)
-    ids, next_id = ids_of(alike.size, moves, told.known, memory.next_id)
+    size = alike.size
+    ids, next_id = ids_of(size, moves, told.known, memory.next_id)
     known = np.full(len(pair.x), -1)
-    known[alike.members] = np.repeat(ids, alike.size)
-    planes = {i: plane for i in sorted(np.flatnonzero(ids >= 0), key=lambda i: -alike.size[i])
+    known[alike.members] = np.repeat(ids, size)
+    planes = {i: plane for i in sorted(np.flatnonzero(ids >= 0), key=lambda i: -size[i])
               if (plane := _plane(pair, alike, fit, i, view, ground)) is not None}
     found = _labelled(extraction, pair, alike, planes, ids, told, view) if planes else extraction
     judged = Judged(pair.x, pair.x_prev, pair.block, told.score, told.left, known)
@@ -220,10 +223,11 @@ def _regions(extraction, pair, view, ground):
 def _fitted(pair, alike, view, ground) -> Surfaces:
     """Return the moving planes of all regions."""
     at = alike.members
-    shape = SHAPE * np.hypot(*alike.parallax[at].T)
+    parallax = alike.parallax.take(at, 0)
+    shape = SHAPE * np.hypot(parallax[:, 0], parallax[:, 1])
     sigma = np.hypot(np.maximum(pair.sigma[at], LEAST_SIGMA), shape)
-    return fit_surfaces(Regions(pair.x[at], pair.x_prev[at], sigma, alike.first), view,
-                        ground.plane)
+    return fit_surfaces(Regions(pair.x.take(at, 0), pair.x_prev.take(at, 0), sigma, alike.first),
+                        view, ground.plane)
 
 
 def _scored(pair, alike, fit, view, ground):
@@ -232,10 +236,11 @@ def _scored(pair, alike, fit, view, ground):
     That it moves, and that it has left where it stood.
     """
     at = alike.members
-    vector = pair.x_prev[at] - pair.x[at]
+    x = pair.x.take(at, 0)
+    vector = pair.x_prev.take(at, 0) - x
     outline = outlines(
-        Blocks(pair.x[at], pair.block[at], vector, vector + alike.parallax[at], alike.rho[at],
-               alike.noise[at], alike.first), view.K, ground.plane,
+        Blocks(x, pair.block.take(at, 0), vector, vector + alike.parallax.take(at, 0),
+               alike.rho[at], alike.noise[at], alike.first), view.K, ground.plane,
         ground.level if ground.plane is None else ground.plane, ground.camera_height)
     seen = Seen(pair.x, alike.rho, alike.noise, alike.under, alike.copied)
     likelihood = compiled.departed(pair.departure, alike.rho, alike.under, at, alike.first, RULES)

@@ -15,15 +15,18 @@ def blocks(n, width=16, height=16):
 
 
 def test_pixels_centred_at_integers_fall_into_their_cell():
-    x = np.array([[-0.5, 0], [7.49, 8], [7.5, 15.5], [99, -40]])
-    row, column = lattice.cells(x, (4, 5))
-    np.testing.assert_array_equal(column, [0, 0, 1, 4])
-    np.testing.assert_array_equal(row, [0, 1, 2, 0])
+    grid = np.arange(20, dtype=np.int32).reshape(4, 5)
+    x = np.array([[-0.5, 0], [7.49, 8], [7.5, 15.5], [39.4, 31.4], [39.5, 0], [0, 31.5]])
+    np.testing.assert_array_equal(lattice.lookup(grid, x), [0, 5, 11, 19, -1, -1])
+
+
+def test_what_reaches_over_the_border_paints_the_cells_at_it():
+    grid = lattice.paint(16, 16, np.array([[-99.0, 7.5], [40, 40]]), blocks(2), np.array([1, 2]))
+    np.testing.assert_array_equal(grid, [[1, -1], [1, 2]])
 
 
 def test_a_picture_that_is_no_multiple_of_a_cell_has_a_cell_for_the_rest():
-    assert lattice.shape_of(1241, 376) == (47, 156)
-    assert lattice.shape_of(640, 480, 16) == (30, 40)
+    assert lattice.paint(1241, 376, np.zeros((0, 2)), blocks(0), np.zeros(0)).shape == (47, 156)
 
 
 def test_a_macroblock_paints_its_four_cells():

@@ -1,6 +1,5 @@
 """Ratio of baselines in numpy: the formulas of its kernels, as reference."""
 
-from mv_slapse.geometry import lattice
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.motion.baseline import (
     BaselineRatio,
@@ -15,9 +14,16 @@ import numpy as np
 STEPS = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)])  # macroblocks around one
 
 
+def cells(x, shape, size):
+    """Return row and column of the cells in which pixels (N, 2) lie, clipped to a shape."""
+    column = np.clip(np.floor((x[:, 0] + 0.5) / size).astype(int), 0, shape[1] - 1)
+    row = np.clip(np.floor((x[:, 1] + 0.5) / size).astype(int), 0, shape[0] - 1)
+    return row, column
+
+
 def at(depths, x):
     """Interpolate a DepthMap at pixels (N, 2): rho (N,), sigma (N,)."""
-    row, column = lattice.cells(x, np.subtract(depths.grid.shape, 2), MACROBLOCK)
+    row, column = cells(x, np.subtract(depths.grid.shape, 2), MACROBLOCK)
     near = depths.grid[row[:, None] + 1 + STEPS[:, 0], column[:, None] + 1 + STEPS[:, 1]]
     rho, middle = depths.rho[near], depths.rho[near[:, [4]]]
     sigma = sigma_of(depths, near, rho)
@@ -61,7 +67,7 @@ def depth_grid(shape, x, usable):
     """Return the grid of a DepthMap."""
     grid = np.full(np.add(shape, 2), -1)
     index = np.flatnonzero(usable)
-    row, column = lattice.cells(x[index], shape, MACROBLOCK)
+    row, column = cells(x[index], shape, MACROBLOCK)
     grid[row + 1, column + 1] = index
     return grid
 
