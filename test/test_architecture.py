@@ -21,12 +21,13 @@ HOME = {**dict.fromkeys(ROS, 'nodes'), 'launch': 'launch', 'launch_ros': 'launch
 ROOMS = ('codec', 'motion', 'surfaces', 'movers', 'extraction', 'filters', 'scene', 'obstacles')
 CORE = ('kernels', 'geometry', *ROOMS, 'pipeline')
 NOT_IN_CORE = {'time', 'datetime', 'random', 'threading', 'multiprocessing', 'logging'}
-BASE = {'blas', 'config', 'errors', 'records'}
+BASE = {'blas', 'changed', 'config', 'errors', 'records'}
 LOW = {*BASE, 'kernels', 'geometry'}
 # What each part may import of this package; a part that is not listed may import everything.
 BELOW = {
     'blas': set(),
     'errors': set(),
+    'changed': set(),
     'records': set(),
     'config': {'errors'},
     'kernels': {'errors'},

@@ -1,9 +1,9 @@
 """Planes, camera motion and labels of each key frame pair, [MVO] 4: PlaneExtractor.extract."""
 
-from dataclasses import replace
 import itertools
 
 from mv_slapse.blas import one_thread
+from mv_slapse.changed import replace
 from mv_slapse.config import ExtractionSettings, USUAL_HEIGHT
 from mv_slapse.extraction.pair_estimate import Found, labels, observations
 from mv_slapse.extraction.state import Memory

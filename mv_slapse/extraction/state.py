@@ -1,7 +1,8 @@
 """What the extraction of one key frame pair leaves for the next."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from mv_slapse.changed import replace
 from mv_slapse.motion import baseline
 from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.movers.reference_depth import Past

@@ -37,7 +37,9 @@ class In {
      std::initializer_list<py::ssize_t> shape, Check check = Check::none) {
     if (!py::isinstance<py::array>(object)) refuse(kernel, says(name, shape, "is no numpy array"));
     array_ = py::reinterpret_borrow<py::array>(object);
-    if (!array_.dtype().equal(py::dtype::of<T>()))
+    // Nearly always it is the very object; to compare two of them costs as much as all else here.
+    const py::dtype own = array_.dtype(), wanted = py::dtype::of<T>();
+    if (!own.is(wanted) && !own.equal(wanted))
       refuse(kernel, says(name, shape, "has dtype " + std::string(py::str(array_.dtype()))));
     if (!fits(shape))
       refuse(kernel, says(name, shape, "has shape " + std::string(py::str(array_.attr("shape")))));

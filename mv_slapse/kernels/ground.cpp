@@ -172,8 +172,9 @@ py::object see_height(const py::object& belief, const py::object& grid, const py
   for (py::ssize_t g = 0; g < cells; ++g) heights[g] = std::exp(-logs[g]);
   for (const int i : possible) {
     double stray = 1.0 / 6;  // one more of any length, over the six units that lengths have
+    const double log_length = std::log(length[i]);
     for (std::size_t j = 0; j < wrong.size(); ++j) {
-      const double gap = (std::log(length[i]) - wrong[j]) / isotropy;
+      const double gap = (log_length - wrong[j]) / isotropy;
       stray += std::exp(-0.5 * gap * gap) / (std::sqrt(2 * PI) * isotropy) * passing[j];
     }
     stray /= total + 1;

@@ -109,18 +109,19 @@ Equations equations_near(const Whitened& blocks, const double* x, const double* 
 
 // Squared errors of blocks on a plane.
 FOR_EACH_PROCESSOR
-void squared_errors(const Whitened& blocks, const Vec3& plane, double* out) {
-  for (int i = 0; i < blocks.n; ++i) {
-    const double error = blocks.error(i, plane);
-    out[i] = error * error;
+void squared_errors(const Whitened& blocks, int first, int last, const Vec3& plane, double* out) {
+  for (int i = first; i < last; i += STEP) {
+    const Four error = load(&blocks.ray[0][i]) * plane[0] + load(&blocks.ray[1][i]) * plane[1] +
+                       load(&blocks.ray[2][i]) * plane[2] + load(&blocks.rho[i]);
+    store(error * error, out + i);
   }
 }
 
 // Sum of what gains have more than is taken already; both end with LANES zeros.
 FOR_EACH_PROCESSOR
-double sum_of_more(const double* gain, const double* taken, int n) {
+double sum_of_more(const double* gain, const double* taken, int first, int last) {
   Four total = broadcast(0);
-  for (int i = 0; i < n; i += STEP) {
+  for (int i = first / STEP * STEP; i < last; i += STEP) {  // each block in its lane
     const Four more = load(gain + i) - load(taken + i);
     total += more > broadcast(0) ? more : broadcast(0);
   }
@@ -168,6 +169,7 @@ struct Track {
   Gaussian now;
   int before, seen;  // number of the known plane that it continues, or -1
   std::vector<double> gain;
+  int first = 0, last = 0;  // blocks in columns near the window that proposes it
 };
 
 // Sharp stationary blocks, ordered by column of macroblocks and row, their windows, and what
@@ -184,14 +186,19 @@ class Search {
   const std::vector<int>& order() const { return order_; }
 
  private:
+  static constexpr int WIDEST = 5;  // columns of a window
   void tile(int wide, int high, bool is_tall);
   void fit_window(Window& window, const Mat3& basis);
   void judge();
   void gain_of(const Vec3& plane, std::vector<double>& gain);
+  void gain_of(const Vec3& plane, int first, int last, std::vector<double>& gain);
   std::vector<int> together(const std::vector<double>& gain);
   void see_again(const std::vector<Gaussian>& known, const std::vector<int>& seen);
   void find_new(int room);
-  Gaussian grown(const Window& window, int& first, int& last) const;
+  Gaussian grown(const Window& window, int first, int last) const;
+  int first_from(int column) const {
+    return cell_begin_[std::clamp(column, 0, cells_.columns) * cells_.rows];
+  }
   bool settled(Track& track, std::vector<int>& part);
   void share_out(const std::vector<Gaussian>& known, const std::vector<int>& seen);
   double more(const std::vector<int>& part, const std::vector<double>& gain) const;
@@ -322,7 +329,7 @@ void Search::fit_window(Window& window, const Mat3& basis) {
 
 // Lays windows and fits planes to them; false where no window holds enough blocks.
 bool Search::look() {
-  tile(5, 5, false);
+  tile(WIDEST, 5, false);
   tile(3, 9, true);
   if (windows_.empty()) return false;
   Vec3 values;
@@ -384,11 +391,19 @@ void Search::judge() {
 // How well a plane explains each block, from 0 to max_excess or more: how little worse than the
 // own plane of the window that judges it, where it is near to the block itself.
 void Search::gain_of(const Vec3& plane, std::vector<double>& gain) {
+  gain_of(plane, 0, blocks_.n, gain);
+}
+
+// The same of blocks from first to last only, and 0 of others.
+void Search::gain_of(const Vec3& plane, int first, int last, std::vector<double>& gain) {
   const double near = is_.cut * is_.cut;
-  squared_errors(blocks_, plane, squared_.data());
   gain.assign(blocks_.n + STEP, 0.0);
+  if (first >= last) return;
+  // The windows that judge them reach beyond.
+  squared_errors(blocks_, first_from(cells_.column[first] - WIDEST),
+                 first_from(cells_.column[last - 1] + WIDEST + 1), plane, squared_.data());
   ++now_;
-  for (int i = 0; i < blocks_.n; ++i) {
+  for (int i = first; i < last; ++i) {
     const int w = best_[i];
     if (!(squared_[i] < near) || w < 0) continue;
     if (std::exchange(asked_[w], now_) != now_) {
@@ -432,7 +447,7 @@ void Search::see_again(const std::vector<Gaussian>& known, const std::vector<int
   std::iota(order.begin(), order.end(), 0);
   std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return seen[a] > seen[b]; });
   for (const int before : order) {
-    Track track{known[before], before, seen[before], {}};
+    Track track{known[before], before, seen[before], {}, 0, blocks_.n};
     gain_of(track.now.plane, track.gain);
     std::vector<int> part;
     for (int step = 0; step < 2; ++step) {
@@ -457,11 +472,7 @@ void Search::see_again(const std::vector<Gaussian>& known, const std::vector<int
 }
 
 // Fits a window's plane to all blocks in reach, so that it settles on a whole surface.
-Gaussian Search::grown(const Window& window, int& first, int& last) const {
-  const int reach = static_cast<int>(is_.reach / 16) + 1;
-  const int column = cells_.column[members_[window.begin]];
-  first = cell_begin_[std::max(column - reach, 0) * cells_.rows];
-  last = cell_begin_[std::min(column + 5 + reach, cells_.columns) * cells_.rows];
+Gaussian Search::grown(const Window& window, int first, int last) const {
   Gaussian out{window.plane, {}};
   for (const double softness : {0.25, 1.0, 1.0}) {
     Equations e = equations_near(blocks_, x_.data(), y_.data(), first, last, window.centre,
@@ -490,14 +501,17 @@ bool Search::settled(Track& track, std::vector<int>& part) {
 void Search::find_new(int room) {
   if (room <= 0) return;
   std::vector<Track> proposed;
+  const int reach = static_cast<int>(is_.reach / 16) + 1;
   for (const int w : judges_) {
     const Window& window = windows_[w];
-    int vacant = 0, first, last;
+    int vacant = 0;
     for (int k = window.begin; k < window.end; ++k) vacant += taken_[members_[k]] == 0;
     if (2 * vacant <= window.end - window.begin) continue;
-    Track track{grown(window, first, last), -1, 1, {}};
-    gain_of(track.now.plane, track.gain);
-    for (int i = 0; i < blocks_.n; ++i)
+    const int column = cells_.column[members_[window.begin]];
+    const int first = first_from(column - reach), last = first_from(column + WIDEST + reach);
+    Track track{grown(window, first, last), -1, 1, {}, first, last};
+    gain_of(track.now.plane, first, last, track.gain);
+    for (int i = first; i < last; ++i)
       if (std::abs(x_[i] - window.centre[0]) >= is_.reach ||
           std::abs(y_[i] - window.centre[1]) >= is_.reach)
         track.gain[i] = 0;
@@ -510,7 +524,7 @@ void Search::find_new(int room) {
     double most = least_gain();
     for (Track& track : proposed) {
       if (track.gain.empty()) continue;
-      const double more = sum_of_more(track.gain.data(), taken_.data(), blocks_.n);
+      const double more = sum_of_more(track.gain.data(), taken_.data(), track.first, track.last);
       if (more > most || (!best && more == most)) {
         most = more;
         best = &track;

@@ -287,6 +287,29 @@ double normal_equations(const std::vector<Blocks>& groups, const TwoView& view,
 
 void bind_two_view(pybind11::module_& module) {
   using namespace kernels;
+  // K (3, 3), ideal pixels (N, 2) float32 of both pictures -> rays_cur, rays_prev (N, 3), x_prev
+  module.def("rays_of", [](const py::object& K, const py::object& x_cur,
+                           const py::object& x_prev) {
+    const char* kernel = "rays_of";
+    const In<double> k(kernel, "K", K, {3, 3}, Check::finite);
+    const In<float> cur(kernel, "x_cur", x_cur, {ANY, 2});
+    const auto n = cur.size();
+    const In<float> prev(kernel, "x_prev", x_prev, {n, 2});
+    Out<double> ray_cur({n, 3}), ray_prev({n, 3}), pixels({n, 2});
+    const auto write = [&](const In<float>& x, Out<double>& ray) {
+      const double fx = k(0, 0), fy = k(1, 1), cx = k(0, 2), cy = k(1, 2), skew = k(0, 1) / fx;
+      for (py::ssize_t i = 0; i < n; ++i) {
+        ray(i, 1) = (x(i, 1) - cy) / fy;
+        ray(i, 0) = (x(i, 0) - cx) / fx;
+        if (skew != 0) ray(i, 0) -= skew * ray(i, 1);
+        ray(i, 2) = 1;
+      }
+    };
+    write(cur, ray_cur);
+    write(prev, ray_prev);
+    for (py::ssize_t i = 0; i < 2 * n; ++i) pixels[i] = prev[i];
+    return py::make_tuple(ray_cur.array(), ray_prev.array(), pixels.array());
+  });
   // index: plane of each, -1 on none; options: relief, width, across, along, bias, offset of Joint
   module.def("normal_equations", [](const py::object& rays_cur, const py::object& rays_prev,
                                     const py::object& sigma, const py::object& focal,

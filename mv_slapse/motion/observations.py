@@ -56,7 +56,12 @@ class BlockObservations:
 
     def __getitem__(self, rows) -> 'BlockObservations':
         """Return those of a mask or an index."""
-        return BlockObservations(*(getattr(self, item.name)[rows] for item in fields(self)))
+        rows = two_view.numbers(rows, len(self.rho))
+        return BlockObservations(self.pair[rows], *(
+            getattr(self, name).take(rows, 0) for name in COLUMNS))
+
+
+COLUMNS = tuple(item.name for item in fields(BlockObservations))[1:]
 
 
 def behind(pair: two_view.Pair, R, t) -> float:

@@ -1,10 +1,10 @@
 """Correspondences of a key frame pair as the extraction takes them, and which it cannot use."""
 
-from dataclasses import replace
 
+from mv_slapse.changed import replace
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry import two_view
-from mv_slapse.geometry.camera import to_rays
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion import estimate
 from mv_slapse.motion.observations import BlockObservations
 from mv_slapse.records import Extraction
@@ -17,8 +17,7 @@ COLUMNS = ('x_cur', 'x_prev', 'sigma', 'block', 'label', 'plane_id')
 
 def pair(blank: Extraction) -> two_view.Pair:
     """Return the correspondences with their rays."""
-    x_cur, x_prev = blank.x_cur.astype(float), blank.x_prev.astype(float)
-    return two_view.Pair(to_rays(blank.K, x_cur), to_rays(blank.K, x_prev), x_prev,
+    return two_view.Pair(*compiled.rays_of(blank.K, blank.x_cur, blank.x_prev),
                          blank.sigma.astype(float), blank.K)
 
 
@@ -26,7 +25,7 @@ def only(whole: Extraction, rows: np.ndarray) -> Extraction:
     """Return an extraction of some rows, which grow."""
     if len(rows) == len(whole.x_cur):
         return whole
-    return replace(whole, **{name: getattr(whole, name)[rows] for name in COLUMNS})
+    return replace(whole, **{name: getattr(whole, name).take(rows, 0) for name in COLUMNS})
 
 
 def scene(whole: Extraction, x: np.ndarray, settings: ExtractionSettings) -> np.ndarray:

@@ -5,8 +5,9 @@ to some 4 %, within which the end wall behind a facade passes for a part of it; 
 it to half of that.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from mv_slapse.changed import replace
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.blocks import grid_shape
 from mv_slapse.kernels.binding import compiled

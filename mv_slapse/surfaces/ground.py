@@ -5,8 +5,9 @@ in the lower picture may be a wrong one. What is known helps: its normal hardly 
 key frame to the next, and next to nothing lies below it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from mv_slapse.changed import replace
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.kernels.binding import compiled
@@ -97,7 +98,7 @@ class Mount:
         spread = np.sqrt(self.spread**2 + learning * (off**2 - self.spread**2))
         slow = max(SLOW_LEARNING, 1 / (self.courses + 2))
         climb = np.sqrt(self.climb**2 + slow * (off**2 - self.climb**2))
-        return Mount(tuple(mean), float(np.clip(spread, least, self.widest)), self.widest,
+        return Mount(tuple(mean), float(min(max(spread, least), self.widest)), self.widest,
                      self.courses + 1, float(climb))
 
 

@@ -118,5 +118,5 @@ def stationary_planes(depths: Depths, free: np.ndarray, known: KnownPlanes,
             for i in np.flatnonzero(id >= 0)]
     if len(known):
         # A plane that is not confirmed yet lasts while nothing takes its place.
-        found += known[~np.isin(known.id, id)].unseen()
+        found += known[~(known.id[:, None] == id).any(axis=1)].unseen()
     return fits, found

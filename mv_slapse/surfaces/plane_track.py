@@ -1,7 +1,8 @@
 """Planes that earlier key frames have shown, and what they let expect of the next."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
+from mv_slapse.changed import replace
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 
@@ -42,7 +43,7 @@ class KnownPlanes:
 
     def __getitem__(self, rows) -> 'KnownPlanes':
         """Return those of a mask or an index."""
-        return KnownPlanes(*(getattr(self, item.name)[rows] for item in fields(self)))
+        return KnownPlanes(*(getattr(self, name)[rows] for name in COLUMNS))
 
     def __len__(self) -> int:
         """Return their number."""
@@ -50,8 +51,10 @@ class KnownPlanes:
 
     def __add__(self, other: 'KnownPlanes') -> 'KnownPlanes':
         """Return these, then others."""
-        return KnownPlanes(*(np.concatenate([getattr(part, item.name) for part in (self, other)])
-                             for item in fields(self)))
+        if not len(other):
+            return self
+        return KnownPlanes(*(np.concatenate((getattr(self, name), getattr(other, name)))
+                             for name in COLUMNS))
 
     @property
     def is_away(self) -> np.ndarray:
@@ -105,3 +108,6 @@ class KnownPlanes:
         near = self[self.is_away & self.near(plane, covariance)]
         off = np.linalg.norm(near.plane - plane, axis=1)
         return int(near.id[np.argmin(off)]) if len(near) else -1
+
+
+COLUMNS = tuple(item.name for item in fields(KnownPlanes))

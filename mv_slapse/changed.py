@@ -1,0 +1,22 @@
+"""Frozen records with some fields changed."""
+
+from dataclasses import replace as checked
+
+
+def replace(record, **fields):
+    """Return a frozen record with some fields changed, as ``dataclasses.replace`` does.
+
+    That sets field by field, past the guard that forbids it, which takes 10 us for an Extraction;
+    to copy them all at once takes one. A record that checks its fields is made as ever.
+
+    Raises
+    ------
+    TypeError
+        Where the record has no such field.
+    """
+    kind = type(record)
+    if hasattr(kind, '__post_init__') or not fields.keys() <= vars(record).keys():
+        return checked(record, **fields)
+    changed = object.__new__(kind)
+    vars(changed).update(vars(record), **fields)
+    return changed
