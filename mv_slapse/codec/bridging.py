@@ -47,11 +47,18 @@ def search(segment: Segment, expect: MotionPrior, settings: DecoderSettings) -> 
     field = expect.field(seconds, x[:0], x[:0])
     start = x if field is None else x + at(field, x)
     there, found = _follow(current, previous, x, start)
-    back, returned = _follow(previous, current, there, x)
     inside = ((there >= 0) & (there < (segment.current.width, segment.current.height))).all(axis=1)
-    good = found & returned & inside & (np.abs(back - x).max(axis=1) < RETURN)
-    n = np.count_nonzero(good)
-    return Evidence(x[good], (there - x)[good],
+    x, there = x[found & inside], there[found & inside]
+    if not len(x):
+        return _evidence(x, there, settings)
+    back, returned = _follow(previous, current, there, x)
+    good = returned & (np.abs(back - x).max(axis=1) < RETURN)
+    return _evidence(x[good], there[good], settings)
+
+
+def _evidence(x: np.ndarray, there: np.ndarray, settings: DecoderSettings) -> Evidence:
+    n = len(x)
+    return Evidence(x, there - x,
                     np.full(n, settings.bridge_variance, np.float32),
                     np.full((n, 2), MACROBLOCK, np.uint8))
 

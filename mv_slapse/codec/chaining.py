@@ -5,6 +5,7 @@ lies somewhere in k-1; what moved that place from k-1 to the frame before moves 
 so on to the anchor, the last key frame that was published.
 """
 
+from collections import deque
 from dataclasses import replace
 
 from mv_slapse.config import DecoderSettings
@@ -28,6 +29,8 @@ class Chainer:
         self._chain: Correspondences | None = None
         self._links = 0
         self._step = 0
+        # Halves of a segment are asked about before they come in: the pairs asked about last.
+        self._asked: deque[tuple[Correspondences, bool]] = deque(maxlen=2)
 
     def add(self, pair: Correspondences) -> list[Correspondences]:
         """Return what can be published after this pair: contiguous pairs in order of time."""
@@ -48,6 +51,13 @@ class Chainer:
 
     def is_long(self, pair: Correspondences) -> bool:
         """Tell whether a pair has moved so far that it need not, or must not, be chained."""
+        for asked, answer in self._asked:
+            if asked is pair:
+                return answer
+        self._asked.append((pair, self._moves_far(pair)))
+        return self._asked[-1][1]
+
+    def _moves_far(self, pair: Correspondences) -> bool:
         settings = self._settings
         if median_flow(pair) >= settings.max_chain_flow:
             return True

@@ -73,7 +73,7 @@ class FrameDecoder:
                                 f'give times in nanoseconds, {LAST_STAMP} at most')
         if not packet.data:
             return []  # an empty packet would put FFmpeg into its end state for good
-        if packet in self._recent:
+        if any(packet.stamp == other.stamp and packet == other for other in self._recent):
             return []  # a copy would move everything once more
         self._recent.append(packet)
         if self._context is None:
@@ -101,11 +101,12 @@ class FrameDecoder:
             self._context.extradata = packet.extradata
             if codec == 'h264':
                 self._headers.read_parameters(bitstream.parameter_sets(packet.extradata))
-        # Frame threads corrupt exported vectors; the loop filter does not touch them.
+        # Frame threads corrupt exported vectors; the loop filter does not touch them. The picture
+        # of a B frame that no other refers to ('noref') is not looked at.
         self._context.thread_type = 'NONE'
         self._context.options = {
             'flags2': '+export_mvs', 'skip_loop_filter': 'all', 'max_pixels': str(MAX_PIXELS),
-            **({} if self._with_luma else {'skip_idct': 'all'})}
+            'skip_idct': 'noref' if self._with_luma else 'all'}
 
     def _wrap(self, packet: Packet) -> av.Packet:
         """Give the packet a number: FFmpeg carries it through reordering, whatever the stamp."""

@@ -90,15 +90,19 @@ def average(segment: Segment, evidence: Evidence, settings: DecoderSettings,
     x, vector, variance, lone = agreed(evidence, (frame.width, frame.height), settings, field,
                                        not is_ambiguous(segment))
     # Among nothing but lone vectors none is lone: they are noise.
-    if lone.any() and (not (direct and settings.lone_probability) or lone.all()):
-        x, vector, variance, lone = (column[~lone] for column in (x, vector, variance, lone))
+    n_lone = np.count_nonzero(lone)
+    if n_lone and (not (direct and settings.lone_probability) or n_lone == len(lone)):
+        keep, n_lone = np.flatnonzero(~lone), 0
+        x, vector, variance = (column.take(keep, axis=0) for column in (x, vector, variance))
     chance = existence(segment.kind, len(segment.between), p or settings.match_probability)
+    probability = np.full(len(x), chance, np.float32)
+    if n_lone:
+        probability[lone] = settings.lone_probability * chance
     return Correspondences(
         frame.stamp, segment.previous.stamp, frame.width, frame.height, segment.kind,
         len(segment.between), x_cur=x, x_prev=x + vector,
         sigma=settings.vector_sigma * np.sqrt(variance),
-        probability=np.where(lone, settings.lone_probability * chance, chance).astype(np.float32),
-        block=np.full((len(x), 2), MACROBLOCK, np.uint8))
+        probability=probability, block=np.full((len(x), 2), MACROBLOCK, np.uint8))
 
 
 def match_probability(evidence: Evidence, merged: Correspondences,

@@ -3,6 +3,7 @@
 #include <optional>
 
 #include "blocks.hpp"
+#include "lanes.hpp"
 
 namespace kernels {
 namespace {
@@ -59,13 +60,18 @@ Cluster clustered(Piece* pieces, int n, Agreement within) {
     if (!(pieces[i].weight > 0)) continue;
     const float own = n > 1 ? within.reach(pieces[i].vector) : 1;
     double mass = 0;
+    int near = 0;
     for (int j = 0; j < n; ++j)
-      if (square(pieces[i].vector - pieces[j].vector) < own * own) mass += pieces[j].weight;
+      if (square(pieces[i].vector - pieces[j].vector) < own * own) {
+        mass += pieces[j].weight;
+        ++near;
+      }
     if (static_cast<float>(mass) > out.mass) {
       out.mass = static_cast<float>(mass);
       lead = i;
       reach = own;
     }
+    if (near == n) break;  // none can be heavier
   }
   if (lead < 0) return out;
   const Vec2 leading = pieces[lead].vector;
@@ -104,18 +110,57 @@ bool skips(const Evidence& e) {
   return moved > STANDING * e.size() && 2 * fast > moved;
 }
 
+// Vectors of macroblocks, row by row, in columns that the compiler can take several of at a time.
+struct Columns {
+  std::vector<float> x, y;
+
+  explicit Columns(int n) : x(n, ABSENT), y(n, ABSENT) {}
+  void set(int i, Vec2 value) { x[i] = value.x, y[i] = value.y; }
+};
+
+// How many of the eight macroblocks around speak for the vectors of those from `first` to before
+// `last`; each gives at most one vote, that of its vector which agrees best. What comes near grows
+// from block to block: two on opposite sides then speak together for what lies half-way between.
+template <bool GROWS>
+KERNELS_INLINE void count_votes(const Columns (&voter)[2], const Columns& centre, int columns,
+                                int first, int last, Agreement beside, float* __restrict votes) {
+  const float *__restrict x0 = voter[0].x.data(), *__restrict y0 = voter[0].y.data();
+  const float *__restrict x1 = voter[1].x.data(), *__restrict y1 = voter[1].y.data();
+  const float *__restrict cx = centre.x.data(), *__restrict cy = centre.y.data();
+  for (int i = first; i < last; ++i) {
+    const Vec2 own{cx[i], cy[i]};
+    const float reach = beside.reach(own), scale = 1 / (reach * reach);
+    const auto speaks = [&](int side) __attribute__((always_inline)) {
+      const Vec2 a{x0[i + side], y0[i + side]}, b{x0[i - side], y0[i - side]};
+      const Vec2 c{x1[i + side], y1[i + side]}, d{x1[i - side], y1[i - side]};
+      const float near = std::min(square(a - own), square(c - own));
+      const float opposite = std::min(square(b - own), square(d - own));
+      const float apart = std::max(1 - near * scale, 0.0f) + std::max(1 - opposite * scale, 0.0f);
+      if (!GROWS) return apart;
+      const Vec2 half = 0.5f * (a + b);
+      return std::max(apart, 2 * std::max(1 - square(half - own) * scale, 0.0f));
+    };
+    votes[i] = 0.0f + speaks(-columns - 1) + speaks(-columns) + speaks(-columns + 1) + speaks(-1);
+  }
+}
+
+KERNELS_WIDE void count(const Columns (&voter)[2], const Columns& centre, int columns, int first,
+                        int last, Agreement beside, bool grows, float* votes) {
+  if (grows) return count_votes<true>(voter, centre, columns, first, last, beside, votes);
+  count_votes<false>(voter, centre, columns, first, last, beside, votes);
+}
+
 // The grid of macroblocks with a border in which there is nothing.
 struct Grid {
   int columns, rows;
   std::vector<Cluster> cluster[2];
-  std::vector<Vec2> voter[2];
+  Columns voter[2], centre[2];
 
   Grid(int width, int height)
-      : columns(macroblocks(width) + 2), rows(macroblocks(height) + 2) {
-    for (int k = 0; k < 2; ++k) {
-      cluster[k].resize(columns * rows);
-      voter[k].assign(columns * rows, {ABSENT, ABSENT});
-    }
+      : columns(macroblocks(width) + 2), rows(macroblocks(height) + 2),
+        voter{Columns(columns * rows), Columns(columns * rows)},
+        centre{Columns(columns * rows), Columns(columns * rows)} {
+    for (auto& clusters : cluster) clusters.resize(columns * rows);
   }
   int cell(Vec2 x) const {  // -1 outside the picture
     const int column = macroblock_of(x.x) + 1, row = macroblock_of(x.y) + 1;
@@ -143,29 +188,20 @@ struct Grid {
       for (int k = 0; k < std::min(number[cell], 2); ++k) {
         const Cluster& found = cluster[k][cell] =
             clustered(pieces.data() + first[cell], number[cell], within);
-        if (found.present() && !(skip && is_zero(found.vector))) voter[k][cell] = found.vector;
+        if (!found.present()) break;
+        centre[k].set(cell, found.vector);
+        if (!(skip && is_zero(found.vector))) voter[k].set(cell, found.vector);
       }
   }
-  // How many of the eight macroblocks around speak for the vector of one; each gives at most one
-  // vote, that of its vector which agrees best. What comes near grows from block to block: two on
-  // opposite sides then speak together for what lies half-way between theirs.
-  float votes(int cell, Vec2 centre, Agreement beside, bool grows) const {
-    const float reach = beside.reach(centre), scale = 1 / (reach * reach);
-    float total = 0;
-    for (const int side : {-columns - 1, -columns, -columns + 1, -1}) {
-      float gap[2];
-      for (int end = 0; end < 2; ++end) {
-        const int other = end ? cell - side : cell + side;
-        gap[end] = std::min(square(voter[0][other] - centre), square(voter[1][other] - centre));
-      }
-      float speak = std::max(1 - gap[0] * scale, 0.0f) + std::max(1 - gap[1] * scale, 0.0f);
-      if (grows) {
-        const Vec2 half = 0.5f * (voter[0][cell + side] + voter[0][cell - side]);
-        speak = std::max(speak, 2 * std::max(1 - square(half - centre) * scale, 0.0f));
-      }
-      total += speak;
+  // Votes of the eight macroblocks around for the first or the second cluster of each.
+  std::vector<float> votes(int k, Agreement beside, bool grows) const {
+    std::vector<float> out(columns * rows, 0.0f);
+    for (int cell = columns + 1, last = columns * (rows - 1) - 1; cell < last; ++cell) {
+      const int first = cell;
+      while (cell < last && cluster[k][cell].present()) ++cell;
+      if (cell > first) count(voter, centre[k], columns, first, cell, beside, grows, out.data());
     }
-    return total;
+    return out;
   }
 };
 
@@ -207,17 +243,23 @@ py::tuple merge(const py::tuple& columns, int width, int height, const py::objec
                   std::initializer_list<py::ssize_t>{grid.rows - 2, grid.columns - 2, 2},
                   Check::finite);
   grid.fill(e, number("direct_weight"), within);
-  std::vector<float> x, vector, variance;
-  std::vector<bool> lone;
+  const std::vector<float> heard[2] = {grid.votes(0, beside, grows), grid.votes(1, beside, grows)};
+  struct Chosen {
+    const Cluster* cluster;
+    float votes;
+    bool lone;
+  };
+  std::vector<Chosen> chosen;
+  chosen.reserve(grid.columns * grid.rows);
   for (int row = 1; row < grid.rows - 1; ++row)
     for (int column = 1; column < grid.columns - 1; ++column) {
       const int cell = row * grid.columns + column;
       const Cluster* best = nullptr;
       float support = 0, votes = 0;
-      for (const auto& clusters : grid.cluster) {
-        const Cluster& own = clusters[cell];
+      for (int k = 0; k < 2; ++k) {
+        const Cluster& own = grid.cluster[k][cell];
         if (!own.present()) continue;
-        const float speak = grid.votes(cell, own.vector, beside, grows) + std::min(own.company, 1.0f);
+        const float speak = heard[k][cell] + std::min(own.company, 1.0f);
         const int inside = (row - 1) * (grid.columns - 2) + column - 1;
         const float all = speak + (field ? prior.support(own.vector, at(*field, inside)) : 0.0f);
         if (!best || all > support) {
@@ -227,14 +269,19 @@ py::tuple merge(const py::tuple& columns, int width, int height, const py::objec
         }
       }
       if (!best || (support < least && is_zero(best->vector))) continue;
-      x.insert(x.end(), {best->x.x, best->x.y});
-      vector.insert(vector.end(), {best->vector.x, best->vector.y});
-      variance.push_back(best->variance * doubt(votes, best->company));
-      lone.push_back(support < least);
+      chosen.push_back({best, votes, support < least});
     }
-  Out<bool> alone({static_cast<py::ssize_t>(lone.size())});
-  std::copy(lone.begin(), lone.end(), alone.data());
-  return py::make_tuple(array_of(x, 2), array_of(vector, 2), array_of(variance), alone.array());
+  const auto n = static_cast<py::ssize_t>(chosen.size());
+  Out<float> x({n, 2}), vector({n, 2}), variance({n});
+  Out<bool> lone({n});
+  for (py::ssize_t i = 0; i < n; ++i) {
+    const Cluster& best = *chosen[i].cluster;
+    x(i, 0) = best.x.x, x(i, 1) = best.x.y;
+    vector(i, 0) = best.vector.x, vector(i, 1) = best.vector.y;
+    variance[i] = best.variance * doubt(chosen[i].votes, best.company);
+    lone[i] = chosen[i].lone;
+  }
+  return py::make_tuple(x.array(), vector.array(), variance.array(), lone.array());
 }
 
 // Share of the vectors, by their areas, that the supported ones of a merged pair bear out; of the

@@ -73,13 +73,19 @@ py::array_t<float> prior_field(const py::object& velocities, float seconds, cons
                   seconds * at(velocity, nearest_macroblock(at(x, i), columns, rows)));
   Vec2 shift{};
   std::vector<float> near[2];
+  for (auto& values : near) values.reserve(gap.size());
+  std::vector<std::uint8_t> inside(gap.size(), 0), before;
   for (const float width : TRIM) {
+    before = inside;
+    for (std::size_t i = 0; i < gap.size(); ++i)
+      inside[i] = std::abs(gap[i].x - shift.x) < width && std::abs(gap[i].y - shift.y) < width;
+    if (inside == before) continue;  // the same vectors have the same medians
     near[0].clear();
     near[1].clear();
-    for (const Vec2 way : gap)
-      if (std::abs(way.x - shift.x) < width && std::abs(way.y - shift.y) < width) {
-        near[0].push_back(way.x);
-        near[1].push_back(way.y);
+    for (std::size_t i = 0; i < gap.size(); ++i)
+      if (inside[i]) {
+        near[0].push_back(gap[i].x);
+        near[1].push_back(gap[i].y);
       }
     if (static_cast<py::ssize_t>(near[0].size()) < FEWEST) break;
     shift = {median(near[0]), median(near[1])};
