@@ -5,6 +5,7 @@ import itertools
 from mv_slapse.blas import one_thread
 from mv_slapse.changed import replace
 from mv_slapse.config import ExtractionSettings, USUAL_HEIGHT
+from mv_slapse.extraction import coarse
 from mv_slapse.extraction.pair_estimate import Found, labels, observations
 from mv_slapse.extraction.state import Memory
 from mv_slapse.geometry import epipolar, rotation, two_view
@@ -67,7 +68,17 @@ class PlaneExtractor:
         Returns an Extraction whose motion status is UNKNOWN, with a reason, where the pair is
         broken or no motion explains enough of its vectors.
         """
-        whole = self._blank(correspondences)
+        factor = coarse.factor_of(correspondences.width, correspondences.height,
+                                  self._settings.max_blocks)
+        if factor == 1:
+            return self._extracted(correspondences, self._camera)
+        found = self._extracted(coarse.correspondences_of(correspondences, factor),
+                                coarse.camera_of(self._camera, factor))
+        return coarse.extraction_of(found, factor, correspondences, self._camera.K)
+
+    def _extracted(self, correspondences: Correspondences, camera: Camera) -> Extraction:
+        """Extract what a pair shows that a camera has taken."""
+        whole = self._blank(correspondences, camera)
         scene = status.scene(whole, correspondences.x_cur, self._settings)
         shown, rows = self._shown(status.only(whole, scene), correspondences.lone[scene],
                                   correspondences.reason)
@@ -107,7 +118,7 @@ class PlaneExtractor:
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
         return self._finished(blank, pair, found, noise, floor), rows
 
-    def _blank(self, correspondences: Correspondences) -> Extraction:
+    def _blank(self, correspondences: Correspondences, camera: Camera) -> Extraction:
         """Return an extraction that knows nothing yet but undistorted pixels.
 
         Columns are rounded to float32 as messages hold them.
@@ -115,10 +126,10 @@ class PlaneExtractor:
         n = len(correspondences)
         return Extraction(
             correspondences.stamp, correspondences.previous_stamp, correspondences.width,
-            correspondences.height, correspondences.kind, self._camera.K,
+            correspondences.height, correspondences.kind, camera.K,
             CameraMotion(MotionStatus.UNKNOWN),
-            x_cur=undistort(self._camera, correspondences.x_cur).astype(np.float32),
-            x_prev=undistort(self._camera, correspondences.x_prev).astype(np.float32),
+            x_cur=undistort(camera, correspondences.x_cur).astype(np.float32),
+            x_prev=undistort(camera, correspondences.x_prev).astype(np.float32),
             sigma=correspondences.sigma, block=correspondences.block,
             label=np.full(n, Label.UNKNOWN, np.int8), plane_id=np.full(n, -1, np.int32))
 
