@@ -54,7 +54,7 @@ demo: setup ## render a street with known truth, run everything on it, write out
 	@$(RUN) mv_slapse demo -o out/demo
 
 test: setup ## run all tests, real ROS nodes included
-	@$(RUN) python -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
+	@$(RUN) python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
 lint: setup ## check style
 	@$(RUN) ruff check .

@@ -11,20 +11,12 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 # The real sequences; an empty MV_SLAPSE_TEST_DATA hides them, as a stranger has it.
 DATA = Path(os.environ.get('MV_SLAPSE_TEST_DATA', ROOT.parent / 'shared' / 'data') or os.devnull)
-ROS_FOLDERS = ('nodes', 'system')
 
 # Before rclpy is loaded, and for the processes that tests start.
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 if Path(sys.prefix, 'share', 'ament_index').is_dir():
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
-
-
-def pytest_collection_modifyitems(items):
-    """Keep the tests that start ROS nodes in one worker: side by side they miss deadlines."""
-    for item in items:
-        if Path(item.path).relative_to(ROOT / 'test').parts[0] in ROS_FOLDERS:
-            item.add_marker(pytest.mark.xdist_group('ros'))
 
 
 @pytest.fixture(params=range(5), ids='seed{}'.format)
