@@ -18,7 +18,7 @@ PLANTED = tuple((f'mv_slapse/{path}', old, new, tests) for path, old, new, tests
     ('codec/frames.py', "if getattr(picture, 'is_corrupt', False):", 'if False:', FRAMES),
     ('codec/frames.py', 'self._stamps.drop(self._count)', 'pass', FRAMES),
     ('codec/frames.py', 'return self._dropped.pop(number, None)', 'return None', FRAMES),
-    ('codec/frames.py', 'if packet in self._recent:', 'if False:', FRAMES),
+    ('codec/frames.py', 'packet == other for other in', 'False for other in', FRAMES),
     ('codec/frames.py', 'if not packet.data:', 'if False:', FRAMES),
     ('codec/frames.py', '> LAST_STAMP:', '> 4 * LAST_STAMP:', FRAMES),
     ('codec/frames.py', "forget(stamps, number - KEPT)", 'pass', FRAMES),
