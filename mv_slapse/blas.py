@@ -82,6 +82,7 @@ def one_thread(verb: Callable) -> Callable:
     """Return a function that does the same with one BLAS thread, and then restores the number."""
     @wraps(verb)
     def limited(*args, **kwargs):
+        """Do it within the limit."""
         with _LIMIT:
             return verb(*args, **kwargs)
     return limited

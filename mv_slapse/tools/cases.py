@@ -237,6 +237,7 @@ def _cameraless(video, _, only):
 
 def _recoded(source, way, folder, only):
     def images():
+        """Return every so many-th picture, with the grain of the way."""
         return with_grain(islice(pictures(source / ORIGINAL), 0, None, way.step), way.grain)
 
     yield from encoded(named(way.kind, way.encodings, only), folder, way.fps, images, Case(

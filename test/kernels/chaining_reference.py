@@ -21,18 +21,7 @@ STEADY = 0.3  # share of a vector by which the one before may differ: what comes
 
 def chain(newer: Correspondences, older: Correspondences,
           settings: DecoderSettings) -> Correspondences:
-    """Return the pair from the newer's key frame to the older's previous one.
-
-    Each match of the newer pair is moved on by the mean motion of the (up to four) macroblocks
-    of the older pair that surround it; a match whose surroundings disagree, or that has none, is
-    dropped. A lone one is moved on by lone ones too, if it goes on as before. Variances add up.
-
-    Parameters
-    ----------
-    newer, older : Correspondences
-        Pairs k-1 to k and j to k-1.
-    settings : DecoderSettings
-    """
+    """Chain two pairs as ``mv_slapse.codec.chaining.chain`` does, in numpy."""
     lone = newer.lone
     motion, variance, known = _sample(older.supported(), newer.x_prev, settings)
     if lone.any():
