@@ -17,15 +17,37 @@ import numpy as np
 
 RETURN = 0.5  # px, how near the search back must end to where the search began
 LEVELS = 3
+SPARSE, LEAST = 7, 10  # every so many macroblocks; so many tell whether the pictures changed
+EXCUSED = 1.0  # px of motion that an encoder may leave out to save bits
 FLAT = 1e-4  # smallest eigenvalue of a macroblock that has texture in two directions
 
 
 def can_bridge(segment: Segment) -> bool:
     """Return whether both pictures are there and near, and only the vectors are missing."""
-    return (segment.current.frame_type is FrameType.I and segment.previous.luma is not None
+    return segment.current.frame_type is FrameType.I and can_search(segment)
+
+
+def can_search(segment: Segment) -> bool:
+    """Return whether both pictures are there, near, whole and of one size."""
+    return (segment.previous.luma is not None
             and segment.current.luma is not None and not segment.current.damage
             and segment.previous.luma.shape == segment.current.luma.shape
             and 0 < segment.current.stamp - segment.previous.stamp <= LONGEST)
+
+
+def is_untrue(segment: Segment) -> bool:
+    """Return whether all vectors say that nothing moves, but the pictures do not.
+
+    An encoder that does not search codes all vectors as zero, whatever moves. Half of what is
+    found of a sparse grid must have gone farther than the bits of a vector excuse.
+    """
+    frames = (segment.current, *segment.between)
+    if any(frame.displacement.any() for frame in frames) or not can_search(segment):
+        return False
+    x = _centres(segment.current.width, segment.current.height)[::SPARSE]
+    there, found = _follow(segment.current.luma, segment.previous.luma, x, x)
+    way = np.abs(there - x).max(axis=1)[found]
+    return bool(len(way) >= LEAST and np.median(way) > EXCUSED)
 
 
 def search(segment: Segment, expect: MotionPrior, settings: DecoderSettings) -> Evidence:

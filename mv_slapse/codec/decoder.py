@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from mv_slapse.codec.bridging import can_bridge, search
+from mv_slapse.codec.bridging import can_bridge, is_untrue, search
 from mv_slapse.codec.chaining import Chainer, median_flow
 from mv_slapse.codec.evidence import collect, Evidence, halves
 from mv_slapse.codec.frames import FrameDecoder
@@ -18,6 +18,7 @@ import numpy as np
 
 LEARNING = 0.1  # share of the newest segment in p: what ten segments tell is not of one picture
 POOR = 0.5  # share of the usual matches at which an I frame's B frames have told too little
+UNTRUE = 'all motion vectors are zero, but the pictures change: the encoder did not search'
 RIGHT = 0.05, 0.99  # bounds of p, where Lemma 2 still has a value
 
 
@@ -53,11 +54,14 @@ class CorrespondenceDecoder:
     def _pairs(self, segment: Segment) -> list[Correspondences]:
         """Merge a segment and learn from it what to expect of the next."""
         if segment.kind is SegmentKind.BROKEN:
-            pairs = [self._searched(segment) or self._broken(segment)]
+            pairs = [self._bridged(segment) or self._broken(segment)]
         else:
             pairs = self._merged(segment)
         if segment.kind is SegmentKind.PI and _supported(pairs[0]) < POOR * self._usual:
-            pairs = [self._searched(segment) or pairs[0]]
+            pairs = [self._bridged(segment) or pairs[0]]
+        elif is_untrue(segment):
+            pairs = [self._searched(segment) or self._broken(replace(
+                segment, kind=SegmentKind.BROKEN, reason=UNTRUE))]
         for pair in pairs:
             self._expect.add(pair)
         self._usual = _supported(pairs[-1]) or self._usual
@@ -86,10 +90,12 @@ class CorrespondenceDecoder:
         if np.isfinite(p):
             self._right = min(max(self._right + LEARNING * (p - self._right), RIGHT[0]), RIGHT[1])
 
-    def _searched(self, segment: Segment) -> Correspondences | None:
+    def _bridged(self, segment: Segment) -> Correspondences | None:
         """Search an I frame's macroblocks in the key frame before it; None where that fails."""
-        if not self._settings.bridge_intra or segment.is_torn or not can_bridge(segment):
-            return None
+        return self._searched(segment) if can_bridge(segment) and not segment.is_torn else None
+
+    def _searched(self, segment: Segment) -> Correspondences | None:
+        """Search macroblocks in the key frame before; None where too few are found."""
         found = search(segment, self._expect, self._settings)
         pair = average(replace(segment, kind=SegmentKind.PP), found, self._settings, p=self._right)
         return pair if _supported(pair) >= self._settings.bridge_minimum else None

@@ -12,6 +12,7 @@ from mv_slapse.records import FrameType
 import numpy as np
 
 WITH_VECTORS = ('h264', 'mpeg2video', 'mpeg1video', 'mpeg4', 'h263', 'flv1')
+ZERO_IN_B = ('mpeg4', 'h263', 'flv1')  # FFmpeg exports the blocks of B frames, their vectors as 0
 MAX_PIXELS = 64_000_000
 LONGEST_REORDERING = 2_000_000_000  # ns; a stamp farther back is a source that began again
 LAST_STAMP = 1 << 61  # ns: 73 years, the range of the stamps of messages, and half of int64
@@ -144,6 +145,8 @@ class FrameDecoder:
         if getattr(picture, 'is_corrupt', False):
             damage = damage or 'the decoder calls the picture corrupt'
         exported = picture.side_data.get('MOTION_VECTORS')
+        if kind is FrameType.B and self._context.name in ZERO_IN_B:
+            exported = None
         table = columns(None if exported is None else np.frombuffer(exported, np.uint8))
         luma = _luma(picture) if self._with_luma and kind is not FrameType.B else None
         return FrameVectors(stamp, kind, picture.width, picture.height, references=references,

@@ -1,14 +1,18 @@
 """What a video offers: its coding, its vectors, and whether they can be used."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import islice
 
+from mv_slapse.codec.bridging import is_untrue
 from mv_slapse.codec.frames import FrameDecoder
 from mv_slapse.codec.motion_vectors import FrameVectors
+from mv_slapse.codec.segments import SegmentBuilder
 from mv_slapse.codec.source import Source
 from mv_slapse.records import FrameType
 
 MIN_VECTORS = 100  # per picture, below which no plane can be found
+FOR_INSTANCE = 'for instance: ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0'
 USABLE, WITH_CARE, UNUSABLE = 'usable', 'usable with care', 'unusable'
 
 
@@ -31,7 +35,7 @@ class Probe:
     gop : int
         Longest distance of two I frames; the pictures read where there is but one.
     vectors_per_frame : float
-        Mean over the P and B frames.
+        Mean over the P and B frames that have any.
     share_with_vectors : float
         Share of P and B frames that have any.
     interlaced : bool
@@ -60,21 +64,30 @@ class Probe:
 
 def probe(source: Source, max_frames: int = 300) -> Probe:
     """Decode the first pictures of a source and say what they are good for."""
-    decoder = FrameDecoder(with_luma=False)
-    frames = [frame for packet in islice(source.packets(), max_frames)
-              for frame in decoder.feed(packet)] + decoder.flush()
+    decoder = FrameDecoder(with_luma=True)
+    segments, frames, untrue = SegmentBuilder(), [], 0
+    for frame in _read(source, decoder, max_frames):
+        segment = segments.add(frame)
+        untrue += segment is not None and not segment.reason and is_untrue(segment)
+        frames.append(replace(frame, luma=None))
     coded = [len(frame) for frame in frames if frame.frame_type is not FrameType.I]
-    vectors = sum(coded) / max(len(coded), 1)
-    share = sum(n > 0 for n in coded) / max(len(coded), 1)
+    filled = [n for n in coded if n]
+    vectors, share = sum(filled) / max(len(filled), 1), len(filled) / max(len(coded), 1)
     runs = _runs(frames)
     references = max((frame.references for frame in frames), default=1)
-    findings = _findings(frames, vectors, references, runs, decoder.interlaced)
+    findings = _findings(frames, vectors, references, runs, decoder.interlaced, untrue)
     verdict = UNUSABLE if any(item[0] for item in findings) else (
         WITH_CARE if findings else USABLE)
     return Probe(source.codec, source.width, source.height, source.fps, len(frames),
                  max(references, 1), max(runs, default=0), _gop(frames), vectors, share,
                  decoder.interlaced, verdict, tuple(item[1] for item in findings),
                  tuple(item[2] for item in findings))
+
+
+def _read(source: Source, decoder: FrameDecoder, max_frames: int) -> Iterator[FrameVectors]:
+    for packet in islice(source.packets(), max_frames):
+        yield from decoder.feed(packet)
+    yield from decoder.flush()
 
 
 def _runs(frames: list[FrameVectors]) -> list[int]:
@@ -95,17 +108,21 @@ def _gop(frames: list[FrameVectors]) -> int:
 
 
 def _findings(frames: list[FrameVectors], vectors: float, references: int, runs: list[int],
-              interlaced: bool) -> list[tuple[bool, str, str]]:
+              interlaced: bool, untrue: int) -> list[tuple[bool, str, str]]:
     """Return what is wrong: whether it forbids use, why, and what to do."""
     damaged = sum(bool(frame.damage) for frame in frames)
-    intra = bool(frames) and all(frame.frame_type is FrameType.I for frame in frames)
-    few = bool(frames) and not intra and vectors < MIN_VECTORS
+    few = bool(frames) and 0 < vectors < MIN_VECTORS
+    blind = any(runs) and not any(len(f) for f in frames if f.frame_type is FrameType.B)
     no_b_and_i_frames = not any(runs) and sum(f.frame_type is FrameType.I for f in frames) > 1
     return [finding for applies, *finding in (
         (not frames, True, 'no picture could be decoded', 'check that the file is complete'),
-        (intra, True, 'all pictures are I frames, which have no motion vectors',
-         're-encode with P frames, for instance: ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 '
-         'OUTPUT.mp4'),
+        (bool(frames) and not vectors, False, 'no picture has motion vectors; motion is searched '
+         'in the pictures instead', f'encode with P frames, {FOR_INSTANCE} -g 30 OUTPUT.mp4'),
+        (untrue, False, f'the vectors of {untrue} pictures are all zero though the pictures '
+         'change; motion is searched in these instead',
+         f'set the encoder to search for motion, {FOR_INSTANCE} OUTPUT.mp4'),
+        (blind, False, 'FFmpeg tells no vectors of the B frames of this codec; they go unused',
+         f'encode without B frames (-bf 0), {FOR_INSTANCE} OUTPUT.mp4'),
         (few, True, f'{vectors:.0f} motion vectors a picture are too few to find planes',
          'use a larger picture or a higher bit rate'),
         (interlaced, True, 'the video is interlaced: its vectors join fields',

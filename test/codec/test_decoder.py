@@ -8,6 +8,7 @@ from mv_slapse.records import SegmentKind
 import numpy as np
 import pictures
 import pytest
+from reliability import clips
 
 MPEG2 = Encoding('mpeg2video', 3, 12)
 EACH = DecoderSettings(max_chain=1)
@@ -147,6 +148,29 @@ def test_still_pictures_give_zero_vectors_at_a_bounded_interval(rng):
     pairs = decoded(encode(still, 30, LOW_LATENCY), DecoderSettings())
     assert max(pair.stamp - pair.previous_stamp for pair in pairs) <= 250_000_000
     assert all(np.median(np.abs(pair.x_prev - pair.x_cur)) < 0.01 for pair in pairs)
+
+
+@pytest.mark.parametrize('b_frames', [0, 2])
+def test_zero_vectors_between_changing_pictures_are_no_standstill(rng, b_frames):
+    no_search = Encoding('mpeg2video', b_frames, 12, {'motion_est': 'zero',
+                                                      'sc_threshold': '1000000000'})
+    for pair in decoded(packets(rng, no_search, 13)):
+        frames = (pair.stamp - pair.previous_stamp) / 40_000_000
+        assert len(pair) > 100
+        off = pair.x_prev - pair.x_cur - np.multiply(STEP, frames)
+        assert np.median(np.abs(off)) < 0.1
+    blind = decoded(packets(rng, no_search, 13), replace(EACH, bridge_intra=False))
+    assert not any((pair.x_cur - pair.x_prev).any() for pair in blind)
+
+
+@pytest.mark.parametrize('b_frames', [1, 2, 3])
+def test_b_frames_without_vectors_of_their_own_do_not_say_that_nothing_moves(b_frames):
+    pairs = decoded(clips.drawn(clips.Kind('mpeg4', 'mpeg4', b_frames, 12), 30))
+    assert sum(map(len, pairs)) > 50 * len(pairs)
+    for pair in pairs:
+        frames = (pair.stamp - pair.previous_stamp) / 40_000_000
+        off = pair.x_prev - pair.x_cur - np.multiply((2, 1), frames)
+        assert np.median(np.abs(off)) < 0.5
 
 
 @pytest.mark.parametrize(('poor', 'bridge', 'kinds'), [

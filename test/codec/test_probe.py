@@ -1,14 +1,19 @@
+from types import SimpleNamespace
+
 from mv_slapse.codec.encoder import Encoding, LOW_LATENCY, write_video
-from mv_slapse.codec.probe import probe, UNUSABLE, USABLE, WITH_CARE
+from mv_slapse.codec.probe import probe, USABLE, WITH_CARE
 from mv_slapse.codec.source import open_source
 import pictures
 import pytest
+from reliability import clips
+
+NO_SEARCH = Encoding('mpeg2video', 0, 12, {'motion_est': 'zero', 'sc_threshold': '1000000000'})
 
 
 @pytest.fixture
 def probed(tmp_path, rng):
-    def run(name, encoding, n=26):
-        write_video(tmp_path / name, pictures.sliding(rng, n, (2, 1)), 25, encoding)
+    def run(name, encoding, n=26, step=(2, 1)):
+        write_video(tmp_path / name, pictures.sliding(rng, n, step), 25, encoding)
         with open_source(tmp_path / name) as source:
             return probe(source)
     return run
@@ -41,7 +46,25 @@ def test_several_references_want_care(probed):
     assert '-refs 1' in found.advice[0]
 
 
-def test_i_frames_alone_are_unusable(probed):
+def test_i_frames_alone_want_care_as_a_run_searches_in_the_pictures(probed):
     found = probed('a.mp4', Encoding('h264', 0, 1))
-    assert found.verdict == UNUSABLE
+    assert found.verdict == WITH_CARE
     assert found.share_with_vectors == 0
+    assert 'no picture has motion vectors' in found.reasons[0]
+
+
+def test_an_encoder_that_does_not_search_is_told_from_a_camera_that_stands(probed):
+    found = probed('a.mpg', NO_SEARCH, n=7)
+    assert found.verdict == WITH_CARE
+    assert 'the vectors of 6 pictures are all zero though the pictures change' in found.reasons[0]
+    assert probed('b.mpg', NO_SEARCH, n=7, step=(0, 0)).verdict == USABLE
+
+
+def test_b_frames_whose_vectors_ffmpeg_does_not_tell_want_care():
+    given = clips.Kind('mpeg4', 'mpeg4', 2, 30)
+    source = SimpleNamespace(codec='mpeg4', width=192, height=160, fps=25,
+                             packets=lambda: clips.drawn(given, 20))
+    found = probe(source)
+    assert (found.verdict, found.b_frames) == (WITH_CARE, 2)
+    assert 'no vectors of the B frames' in found.reasons[-1]
+    assert '-bf 0' in found.advice[-1]

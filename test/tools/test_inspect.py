@@ -24,10 +24,11 @@ def test_a_bag_says_the_same_as_its_video(clip, tmp_path):
 
 
 def test_an_unusable_video_is_told_why_and_what_to_do(tmp_path):
-    pictures = np.random.default_rng(0).integers(0, 256, (4, 96, 128), np.uint8)
-    write_video(tmp_path / 'intra.mpg', pictures, 25.0, Encoding(b_frames=0, gop=1))
-    report = tool.inspect(str(tmp_path / 'intra.mpg'))
+    pictures = np.broadcast_to(np.random.default_rng(0).integers(0, 256, (96, 128), np.uint8),
+                               (4, 96, 128))
+    write_video(tmp_path / 'small.mpg', pictures, 25.0, Encoding(b_frames=0, gop=12))
+    report = tool.inspect(str(tmp_path / 'small.mpg'))
     text = tool.text(report)
     assert not tool.is_usable(report)
-    assert 'because: all pictures are I frames' in text
-    assert 'do this: re-encode' in text
+    assert '48 motion vectors a picture are too few' in text
+    assert 'do this: use a larger picture' in text
