@@ -32,6 +32,37 @@ class Checked:
                                  f'bounds [{low}, {high}]: {item.metadata["doc"]}')
 
 
+ENCODED = ('mpeg2video', 'h264')
+RECODE = ('auto', 'always', 'never')
+
+
+@dataclass(frozen=True)
+class EncoderSettings(Checked):
+    """From pictures to packets in memory, where the input has no motion vectors of its own."""
+
+    codec: str = setting(
+        'mpeg2video', '-', f'of the packets, one of {", ".join(ENCODED)}; H.264 takes twice the '
+        'time')
+    b_frames: int = setting(
+        0, '-', 'B frames between two key frames; each makes the pose a picture later and the '
+        'rate of poses lower', 0, 3)
+    quality: int = setting(
+        0, '-', 'quantiser of MPEG-2 (2 to 31) or rate factor of H.264 (1 to 51); 0: as gives the '
+        'truest vectors', 0, 51)
+    recode: str = setting(
+        'auto', '-', f'which video is decoded and encoded again, one of {", ".join(RECODE)}; '
+        'auto: that of codecs without motion vectors (HEVC, VP9, AV1, JPEG); always: also one '
+        'whose own vectors are of no use')
+
+    def __post_init__(self):
+        """Refuse a codec that cannot be encoded, and a word that is no choice."""
+        super().__post_init__()
+        for name, choices in (('codec', ENCODED), ('recode', RECODE)):
+            if getattr(self, name) not in choices:
+                raise UsageError(f'encoder.{name} = {getattr(self, name)!r}: choose one of '
+                                 f'{", ".join(choices)}')
+
+
 @dataclass(frozen=True)
 class DecoderSettings(Checked):
     """From packets to correspondences, [SLAPSE] III and V-A."""
@@ -270,6 +301,7 @@ class ObstacleSettings(Checked):
 class Settings:
     """Settings of the whole pipeline."""
 
+    encoder: EncoderSettings = field(default_factory=EncoderSettings)
     decoder: DecoderSettings = field(default_factory=DecoderSettings)
     extraction: ExtractionSettings = field(default_factory=ExtractionSettings)
     scene: SceneSettings = field(default_factory=SceneSettings)

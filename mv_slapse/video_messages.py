@@ -3,12 +3,11 @@
 Messages are read by their attributes, so it does not matter whose classes they are.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 from mv_slapse.codec import bitstream
-from mv_slapse.codec.packet import Packet
+from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.errors import UnusableInput
 from mv_slapse.fields import Fields, header, stamp_from_message
 from mv_slapse.message_checks import count, InvalidMessage, size
@@ -25,17 +24,10 @@ DECODERS = {'264': 'h264', 'avc': 'h264', '265': 'hevc', 'hevc': 'hevc', 'vp9': 
             'vp8': 'vp8', 'av1': 'av1', 'mpeg2': 'mpeg2video', 'mpeg1': 'mpeg1video',
             'mpeg4': 'mpeg4', 'xvid': 'mpeg4', 'jpeg': 'mjpeg'}
 MAX_BYTES = 2**26  # of a coded picture; one of 64 million pixels has as many
+HEVC_KEYS = range(16, 24)  # types of NAL units of pictures at which decoding may begin
 STILL_FORMATS = ('jpeg', 'jpg', 'png')
 CHANNELS = {'mono8': 1, '8UC1': 1, 'bgr8': 3, '8UC3': 3, 'rgb8': 3, 'bgra8': 4, 'rgba8': 4}
 TO_BGR = {'rgb8': cv2.COLOR_RGB2BGR, 'bgra8': cv2.COLOR_BGRA2BGR, 'rgba8': cv2.COLOR_RGBA2BGR}
-
-
-@dataclass(frozen=True)
-class Picture:
-    """An uncompressed picture: (H, W) or (H, W, 3) uint8, grey or BGR, at a stamp [ns]."""
-
-    image: np.ndarray
-    stamp: int
 
 
 def from_message(message_type: str, msg: Any) -> Packet | Picture:
@@ -57,7 +49,7 @@ def from_message(message_type: str, msg: Any) -> Packet | Picture:
         if any(still in name.lower() for still in STILL_FORMATS):
             return Picture(_still_image(msg), stamp_from_message(stamp))
     data = _payload(msg)
-    codec = bitstream.sniff(data) or decoder_of(name)
+    codec = bitstream.codec_of(data, decoder_of(name))
     return Packet(data, stamp_from_message(stamp), flagged or is_key(data, codec), codec)
 
 
@@ -108,6 +100,15 @@ def is_key(data: bytes, codec: str) -> bool:
     if codec in ('mpeg2video', 'mpeg1video'):
         at = data.find(b'\0\0\1\0')  # picture_start_code; then 10 bits of order, 3 of type
         return at >= 0 and at + 5 < len(data) and data[at + 5] >> 3 & 7 == 1
+    if codec == 'hevc':
+        return any(unit[0] >> 1 & 63 in HEVC_KEYS for unit in bitstream.nal_units(data))
+    if codec == 'vp9':  # frame_marker, two bits of profile, show_existing_frame, frame_type
+        return data[0] >> 6 == 2 and not data[0] & 12
+    if codec == 'vp8':
+        return not data[0] & 1
+    if codec == 'av1':  # a sequence header, alone or behind the temporal delimiter
+        return data[0] >> 3 & 15 == 1 or data[:1] == b'\x12' and data[2:3] >= b'\x08' and (
+            data[2] >> 3 & 15 == 1)
     if codec == 'mpeg4':
         at = data.find(b'\0\0\1\xb6')
         return at >= 0 and at + 4 < len(data) and data[at + 4] >> 6 == 0

@@ -317,10 +317,19 @@ def _references(bits: BitReader, kind: int, pps: PictureParameters) -> int:
     return max(lists)
 
 
+def codec_of(data: bytes, named: str) -> str:
+    """Return the codec that a packet shows, or else that it is said to have.
+
+    A topic's format field is sometimes wrong, but a picture of HEVC may look like one of MPEG-2.
+    """
+    sniffed = sniff(data)
+    return named if not sniffed or named == 'hevc' and sniffed == 'mpeg2video' else sniffed
+
+
 def sniff(data: bytes) -> str:
     """Return FFmpeg's name of the codec of a packet, or '' where the payload does not tell.
 
-    A topic's format field is sometimes wrong; Annex B and MPEG start codes are not.
+    Annex B and MPEG start codes are what tells.
     """
     at = data.find(START)
     if at not in (0, 1) or at + 4 > len(data) or _length_prefixed(data):
@@ -330,7 +339,8 @@ def sniff(data: bytes) -> str:
         return 'mpeg2video'
     if code in (0xB0, 0xB5, 0xB6) or code == 0x20:
         return 'mpeg4'
-    if code in (0x40, 0x42, 0x44, 0x46) and data[at + 4:at + 5] == b'\x01':
+    # Parameter sets, delimiter and key pictures of HEVC; H.264 has no such second byte there.
+    if code in (0x26, 0x28, 0x2A, 0x40, 0x42, 0x44, 0x46) and data[at + 4:at + 5] == b'\x01':
         return 'hevc'
     return 'h264' if code & 31 in (NAL_SLICE, NAL_IDR, 6, NAL_SPS, NAL_PPS, 9) else ''
 

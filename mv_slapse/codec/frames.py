@@ -91,8 +91,7 @@ class FrameDecoder:
         return (self._decode(_numbered(self._last_key, 0)) if echo else []) + self._decode(None)
 
     def _open(self, packet: Packet):
-        sniffed = '' if packet.extradata else bitstream.sniff(packet.data)
-        codec = sniffed or packet.codec
+        codec = packet.codec if packet.extradata else bitstream.codec_of(packet.data, packet.codec)
         if {codec, packet.codec} == {'mpeg1video', 'mpeg2video'}:
             codec = packet.codec
         check_codec(codec)

@@ -8,7 +8,6 @@ import select
 from typing import BinaryIO
 
 import av
-from mv_slapse.codec.frames import check_codec
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
 
@@ -111,7 +110,7 @@ def open_source(path_or_url: str | Path) -> Source:
     Raises
     ------
     UnusableInput
-        Where there is no such file, no video in it, or a codec without motion vectors.
+        Where there is no such file, or no video in it.
     """
     name = str(path_or_url)
     is_url = '://' in name
@@ -146,7 +145,6 @@ def _how_to_open(name: str, is_url: bool) -> dict:
 def _checked(container, name: str) -> Source:
     source = Source(container)
     try:
-        check_codec(source.codec)
         if source.interlaced:
             raise UnusableInput('the video is interlaced: its vectors join fields, not frames; '
                                 'deinterlace it with: ffmpeg -i INPUT -vf bwdif -c:v libx264 '

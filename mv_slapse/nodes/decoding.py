@@ -4,8 +4,9 @@ from collections.abc import Callable
 import time
 
 from mv_slapse.codec.decoder import CorrespondenceDecoder
-from mv_slapse.codec.packet import Packet
-from mv_slapse.config import DecoderSettings
+from mv_slapse.codec.packet import Packet, Picture
+from mv_slapse.config import DecoderSettings, EncoderSettings
+from mv_slapse.encoding.recoder import Recoder
 from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.nodes.camera_input import CameraInput
@@ -38,6 +39,7 @@ class Decoding:
         self._decoder: CorrespondenceDecoder | None = None
         self._frame = ''
         self._begin()
+        self._renew()
         self._gate = Gate(lambda *_: self._decoder is not None, self._feed, HELD)
         CameraInput(node, self._on_camera)
         video = node.settings[VideoSettings]
@@ -68,28 +70,41 @@ class Decoding:
         self._gate.drain()
 
     def _renew(self):
+        self._recoder = Recoder(self._node.settings[EncoderSettings])
         if self._camera is not None:
             self._decoder = CorrespondenceDecoder(self._node.settings[DecoderSettings],
                                                   self._camera)
 
-    def _deliver(self, packet: Packet, frame: str):
+    def _deliver(self, packet: Packet | Picture, frame: str):
         """Take a packet as it comes; without a camera it waits."""
         self._gate(packet, frame, self._node.latency.came)
 
-    def _feed(self, packet: Packet, frame: str, came: float):
+    def _feed(self, packet: Packet | Picture, frame: str, came: float):
         if packet.stamp < self._newest - BACKWARDS:
             self._node.begin_anew('the video went back in time')
         self._newest, self._frame = max(self._newest, packet.stamp), frame
         if self._is_late(packet, came):
             return
         self._seen_key |= packet.is_key
-        decoder = self._decoder
-        records = self._node.attempt(PART, decoder.feed, packet, recover=self._renew)
+        records = self._node.attempt(PART, self._decode, self._recoder.feed, packet,
+                                     recover=self._renew)
         self._look_for_fruit(records)
         for record in records or ():
             self._hand_over(record)
 
-    def _is_late(self, packet: Packet, came: float) -> bool:
+    def _decode(self, recode: Callable[..., list[Packet]], *item: Packet | Picture
+                ) -> list[Correspondences]:
+        """Return the records of what a picture, or the end, completes."""
+        known = self._recoder.recoded
+        packets = recode(*item)
+        if self._recoder.recoded != known:
+            self._node.get_logger().info(
+                f'{self._recoder.recoded} has no motion vectors: each picture is decoded and '
+                'encoded again here, which costs more than all else; H.264 would spare it')
+            self._node.health.value('encoded again', self._recoder.recoded)
+        return [record for packet in packets for record in self._decoder.feed(packet)]
+
+    def _is_late(self, packet: Packet | Picture, came: float) -> bool:
         """Return whether the packet is dropped to catch up; a key picture in time ends that."""
         latency = self._node.latency
         waited = latency.waited(came)
@@ -119,8 +134,11 @@ class Decoding:
 
     def _flush(self):
         if self._decoder is not None:
-            for record in self._node.attempt(PART, self._decoder.flush, recover=self._renew) or ():
+            for record in self._node.attempt(PART, self._end, recover=self._renew) or ():
                 self._hand_over(record)
+
+    def _end(self) -> list[Correspondences]:
+        return self._decode(self._recoder.flush) + self._decoder.flush()
 
     def _hand_over(self, record: Correspondences):
         check_size(self._camera, record.width, record.height, PART)

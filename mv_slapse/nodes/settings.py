@@ -10,6 +10,7 @@ from functools import cache
 from mv_slapse.config import (
     Checked,
     DecoderSettings,
+    EncoderSettings,
     ExtractionSettings,
     MountSettings,
     ObstacleSettings,
@@ -114,21 +115,23 @@ class ObstacleOutputSettings(Checked):
 _VIDEO, _CAMERA = ('', VideoSettings), ('', CameraSettings)
 _FRAMES, _LATENCY = ('', FrameSettings), ('', LatencySettings)
 _SCENE_OUTPUT, _OBSTACLE_OUTPUT = ('', SceneOutputSettings), ('', ObstacleOutputSettings)
-_DECODER, _EXTRACTION = ('decoder', DecoderSettings), ('extraction', ExtractionSettings)
+_ENCODER, _DECODER = ('encoder', EncoderSettings), ('decoder', DecoderSettings)
+_EXTRACTION = ('extraction', ExtractionSettings)
 _SCENE, _OBSTACLES = ('scene', SceneSettings), ('obstacles', ObstacleSettings)
 _MOUNT = ('scene', MountSettings)
 
 #: node name -> (prefix, settings class) of each group of its parameters
 NODE_SETTINGS: dict[str, tuple[tuple[str, type], ...]] = {
-    'decoder': (_VIDEO, _CAMERA, _LATENCY, _DECODER),
+    'decoder': (_VIDEO, _CAMERA, _LATENCY, _ENCODER, _DECODER),
     'plane_extraction': (_CAMERA, _LATENCY, _MOUNT, _EXTRACTION),
     'slam': (_FRAMES, _LATENCY, _SCENE_OUTPUT, _SCENE),
     'obstacle_tracker': (_FRAMES, _LATENCY, _OBSTACLE_OUTPUT, _OBSTACLES),
-    'all_in_one': (_VIDEO, _CAMERA, _FRAMES, _LATENCY, _SCENE_OUTPUT, _OBSTACLE_OUTPUT, _DECODER,
-                   _EXTRACTION, _SCENE, _OBSTACLES),
+    'all_in_one': (_VIDEO, _CAMERA, _FRAMES, _LATENCY, _SCENE_OUTPUT, _OBSTACLE_OUTPUT, _ENCODER,
+                   _DECODER, _EXTRACTION, _SCENE, _OBSTACLES),
 }
 #: settings of the core: a new value makes its part begin anew, where the last output has ended
-CORE = (DecoderSettings, ExtractionSettings, MountSettings, SceneSettings, ObstacleSettings)
+CORE = (EncoderSettings, DecoderSettings, ExtractionSettings, MountSettings, SceneSettings,
+        ObstacleSettings)
 LIVE = (*CORE, LatencySettings, SceneOutputSettings, ObstacleOutputSettings)
 FIXED = ('output_directory', 'path_length')  # of these, what is decided at the start
 

@@ -6,8 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from mv_slapse import video_messages
-from mv_slapse.codec.encoder import ImageEncoder
-from mv_slapse.codec.packet import Packet
+from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.errors import UnusableInput
 from mv_slapse.nodes import qos
 from mv_slapse.nodes.health import every
@@ -25,22 +24,20 @@ TYPES = dict(zip(INPUT_TYPES[1:], video_messages.VIDEO_TYPES, strict=True))
 class VideoTopic:
     """Subscribes as soon as type and QoS of the topic are known."""
 
-    def __init__(self, node: Shell, deliver: Callable[[Packet, str], None]):
+    def __init__(self, node: Shell, deliver: Callable[[Packet | Picture, str], None]):
         """Look at the graph until the topic can be subscribed to."""
         self._node, self._deliver = node, deliver
         self._settings = node.settings[VideoSettings]
         require('input_type', self._settings.input_type, INPUT_TYPES)
         require('qos_reliability', self._settings.qos_reliability, RELIABILITIES)
         self._topic = node.resolve_topic_name(TOPIC)
-        self._encoder: ImageEncoder | None = None
         self._subscription = None
         node.health.watch(TOPIC, HINT)
         self._timer = every(node, 0.05, self._look)
         self._look()
 
     def restart(self):
-        """Begin a new group of pictures where pictures are encoded here."""
-        self._encoder = None
+        """Go on with what comes."""
 
     def close(self):
         """Nothing is open besides the subscription."""
@@ -93,19 +90,8 @@ class VideoTopic:
     def _on_message(self, type_name: str, msg: Any):
         self._node.health.leave('qos', part=TOPIC)
         content = video_messages.from_message(type_name, msg)
-        frame = video_messages.frame_of(type_name, msg)
-        if isinstance(content, video_messages.Picture):
-            self._encode(content, frame)
-        else:
-            self._pass_on(content, frame)
-
-    def _encode(self, picture: video_messages.Picture, frame: str):
-        self._encoder = self._encoder or ImageEncoder()
-        for packet in self._encoder.feed(picture.image, picture.stamp):
-            self._pass_on(packet, frame)
-
-    def _pass_on(self, packet: Packet, frame: str):
-        self._deliver(packet, self._settings.camera_frame or frame)
+        self._deliver(content, self._settings.camera_frame
+                      or video_messages.frame_of(type_name, msg))
 
 
 def _message_type(topic: str, name: str) -> type:

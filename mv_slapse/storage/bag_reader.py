@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import breakup_chunk, StreamReader
 from mv_slapse import fields, video_messages
-from mv_slapse.codec.packet import Packet
+from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.errors import MvSlapseError, UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed
 from mv_slapse.storage import bounded, messages
-from mv_slapse.video_messages import Picture
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 

@@ -2,18 +2,21 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from mv_slapse.codec.encoder import ImageEncoder
-from mv_slapse.codec.packet import Packet
+from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.codec.source import open_source
+from mv_slapse.config import EncoderSettings
+from mv_slapse.encoding.recoder import Recoder
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed
 from mv_slapse.storage import tables
 from mv_slapse.storage.bag_reader import BagReader, is_bag
-from mv_slapse.video_messages import Picture
+
+RECODED = ('this codec has no motion vectors that can be read, so that each picture is decoded '
+           'and encoded again here; a camera that sends H.264 spares that')
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,10 @@ class VideoInput:
         The calibration that comes with the video.
     warning : str
         What is wrong with the input although it can be used, else empty.
+    fps : float
+        As the container tells it [1/s]; 0 where it does not.
+    recoder : Recoder
+        What the packets have passed through.
     """
 
     packets: Iterator[Packet]
@@ -39,22 +46,36 @@ class VideoInput:
     n_frames: int = 0
     camera: Camera | None = None
     warning: str = ''
+    fps: float = 0.0
+    recoder: Recoder = field(default_factory=Recoder)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is to be said of the input, as far as it has been read."""
+        said = [self.warning] if self.warning else []
+        codec = self.recoder.recoded
+        return said + [f'{codec}: {RECODED}'] if codec else said
 
 
 @contextmanager
-def open_input(name: str, topic: str | None = None) -> Iterator[VideoInput]:
+def open_input(name: str, topic: str | None = None,
+               encoder: EncoderSettings | None = None) -> Iterator[VideoInput]:
     """Open a video file, a URL, or the video topic of a bag.
+
+    What has no motion vectors is encoded in memory, as the settings of the encoder say.
 
     Raises
     ------
     UnusableInput, UsageError
         Where there is no such input, or no video in it.
     """
+    recoder = Recoder(encoder)
     if is_from_bag(name, topic):
-        yield _open_bag(name, topic)
+        yield _open_bag(name, topic, recoder)
         return
     with open_source(name) as source:
-        yield VideoInput(source.packets(), (source.width, source.height), source.n_frames)
+        yield VideoInput(coded(source.packets(), recoder), (source.width, source.height),
+                         source.n_frames, fps=source.fps, recoder=recoder)
 
 
 def is_from_bag(name: str, topic: str | None = None) -> bool:
@@ -86,20 +107,16 @@ def read_speeds(given: str, name: str) -> list[Speed]:
     return speeds
 
 
-def coded(items: Iterator[Packet | Picture]) -> Iterator[Packet]:
-    """Yield packets; pictures are coded in memory, so that their vectors can be read back."""
-    encoder = ImageEncoder()
+def coded(items: Iterator[Packet | Picture], recoder: Recoder) -> Iterator[Packet]:
+    """Yield packets with vectors: what has none is encoded in memory."""
     for item in items:
-        if isinstance(item, Picture):
-            yield from encoder.feed(item.image, item.stamp)
-        else:
-            yield item
-    yield from encoder.flush()
+        yield from recoder.feed(item)
+    yield from recoder.flush()
 
 
-def _open_bag(name: str, topic: str | None) -> VideoInput:
+def _open_bag(name: str, topic: str | None, recoder: Recoder) -> VideoInput:
     bag = BagReader(name)
     video = bag.video_topic(topic)
     warning = f'{name} has no end; what is whole before the cut is used' if bag.is_cut else ''
-    return VideoInput(coded(bag.packets(video)), None, bag.counts.get(video, 0),
-                      bag.camera(video), warning)
+    return VideoInput(coded(bag.packets(video), recoder), None, bag.counts.get(video, 0),
+                      bag.camera(video), warning, recoder=recoder)

@@ -1,15 +1,14 @@
 """``mv_slapse inspect``: what a video offers, and whether that is enough."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from typing import Any
 
 from mv_slapse.codec.packet import Packet
-from mv_slapse.codec.probe import probe, UNUSABLE
-from mv_slapse.codec.source import open_source
+from mv_slapse.codec.probe import probe, UNUSABLE, USABLE, WITH_CARE
 from mv_slapse.errors import UnusableInput
-from mv_slapse.tools.inputs import is_from_bag, open_input
+from mv_slapse.tools.inputs import is_from_bag, open_input, RECODED
 
 LABELS = {'codec': 'codec', 'size': 'picture [px]', 'fps': 'rate [1/s]', 'n_frames': 'frames read',
           'references': 'reference frames', 'b_frames': 'B frames in a row',
@@ -19,7 +18,7 @@ LABELS = {'codec': 'codec', 'size': 'picture [px]', 'fps': 'rate [1/s]', 'n_fram
 
 @dataclass(frozen=True)
 class _Stream:
-    """A bag's video, as ``probe`` wants it."""
+    """Packets that have been read, as ``probe`` wants them."""
 
     codec: str
     width: int
@@ -28,7 +27,7 @@ class _Stream:
     coded: list[Packet]
 
     def packets(self) -> Iterator[Packet]:
-        """Return the packets in the order of the bag."""
+        """Return the packets in the order of decoding."""
         return iter(self.coded)
 
 
@@ -40,16 +39,21 @@ def inspect(name: str, topic: str | None = None, max_frames: int = 300) -> dict[
     UnusableInput, UsageError
         Where there is no such input, or no video with motion vectors in it.
     """
-    if not is_from_bag(name, topic):
-        with open_source(name) as source:
-            return {'input': name, **asdict(probe(source, max_frames))}
     with open_input(name, topic) as source:
         packets = list(islice(source.packets, max_frames))
-        if not packets:
+        if not packets and is_from_bag(name, topic):
             raise UnusableInput(f'{name}: the video topic has no messages')
-        size = (source.camera.width, source.camera.height) if source.camera else (0, 0)
-        stream = _Stream(packets[0].codec, *size, _rate(packets), packets)
-        return {'input': name, **asdict(probe(stream, max_frames))}
+        size = source.size or ((source.camera.width, source.camera.height) if source.camera
+                               else (0, 0))
+        codec = packets[0].codec if packets else ''
+        found = probe(_Stream(codec, *size, source.fps or _rate(packets), packets), max_frames)
+        recoded = source.recoder.recoded
+        if recoded:
+            found = replace(found, codec=recoded, verdict=max(
+                found.verdict, WITH_CARE, key=(USABLE, WITH_CARE, UNUSABLE).index),
+                reasons=(*found.reasons, RECODED),
+                advice=(*found.advice, 'set the camera to H.264 without B frames'))
+        return {'input': name, **asdict(found)}
 
 
 def is_usable(report: dict[str, Any]) -> bool:

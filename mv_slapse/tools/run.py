@@ -152,7 +152,7 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
     UsageError
         Where arguments contradict one another, or the output cannot be written.
     """
-    with open_input(str(input), topic) as source:
+    with open_input(str(input), topic, settings.encoder) as source:
         session = _Session(source, str(input), _camera(camera, source, str(input)), settings,
                            speeds)
         session.summary.command = command
@@ -175,7 +175,7 @@ def decode(input: str | Path, camera: Camera, settings: Settings) -> Decoded:
     """Decode a whole video to correspondences, to be played as often as one likes."""
     clock, pairs, stamps = CpuClock(), [], []
     decoder = CorrespondenceDecoder(settings.decoder, camera)
-    with open_input(str(input)) as source, clock.stage('decode'):
+    with open_input(str(input), None, settings.encoder) as source, clock.stage('decode'):
         for packet in source.packets:
             pairs += decoder.feed(packet)
             stamps.append(packet.stamp)
@@ -231,12 +231,14 @@ class _Session:
         self._planes: set[int] = set()
         self._obstacles: set[int] = set()
         self._stamps = array('q')
-        self.summary = Summary(name, warnings=[source.warning] if source.warning else [])
+        self.summary = Summary(name)
 
     def play(self, writer: ResultsWriter, max_frames: int | None, progress: Progress | None):
         """Take the packets one after another, as a robot would."""
         total = min(filter(None, (self._source.n_frames, max_frames)), default=0)
-        for packet in islice(self._source.packets, max_frames):
+        packets = islice(self._source.packets, max_frames)
+        # reading is charged to decoding: it may be a decoder and an encoder of their own
+        while (packet := self._decode(next, packets, None)) is not None:
             self._take(self._decode(self._decoder.feed, packet), writer)
             if len(self._stamps) < ENOUGH_STAMPS:
                 self._stamps.append(packet.stamp)
@@ -257,6 +259,7 @@ class _Session:
         summary, camera = self.summary, self._camera
         summary.fps = _rate(np.sort(self._stamps))
         summary.planes, summary.obstacles_confirmed = len(self._planes), len(self._obstacles)
+        summary.warnings = self._source.warnings + summary.warnings
         self._check_clocks()
         for name, counter in self._counts.items():
             setattr(summary, name, dict(counter.most_common()))
@@ -282,7 +285,7 @@ class _Session:
             part = getattr(self._slapse, f'_{part}')
             setattr(part, verb, self._clock.charge(getattr(part, verb), stage))
 
-    def _decode(self, function: Callable, *args: Any) -> list[Correspondences]:
+    def _decode(self, function: Callable, *args: Any) -> Any:
         with self._clock.stage('decode'):
             return function(*args)
 

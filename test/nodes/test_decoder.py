@@ -8,8 +8,10 @@ pytest.importorskip('mv_slapse_msgs')
 import cv2  # noqa: E402
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.codec.decoder import CorrespondenceDecoder  # noqa: E402
-from mv_slapse.codec.encoder import ImageEncoder, write_video  # noqa: E402
+from mv_slapse.codec.packet import Picture  # noqa: E402
 from mv_slapse.config import DecoderSettings  # noqa: E402
+from mv_slapse.encoding.encoder import write_video  # noqa: E402
+from mv_slapse.encoding.recoder import Recoder  # noqa: E402
 from mv_slapse.nodes.conversions import camera_from_msg, stamp_to_msg, to_message  # noqa: E402
 from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
@@ -18,6 +20,7 @@ from mv_slapse_msgs.msg import Correspondences  # noqa: E402
 from nodes import clips  # noqa: E402
 from nodes.bench import BEST_EFFORT, held_up, LATCHED, messages_of, value_of  # noqa: E402
 import numpy as np  # noqa: E402
+import other_codecs  # noqa: E402
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
@@ -27,7 +30,9 @@ START = 5_000_000_000
 
 def expected_records(packets):
     decoder = CorrespondenceDecoder(DecoderSettings(), camera_from_msg(clips.camera_info()))
-    return [record for packet in packets for record in decoder.feed(packet)]
+    recoder = Recoder()
+    return [record for item in packets for packet in recoder.feed(item)
+            for record in decoder.feed(packet)]
 
 
 def assert_arrived(received, expected):
@@ -101,14 +106,14 @@ def test_pictures_are_coded_here_and_their_vectors_read(bench, message_type, mak
     bench.start(DecoderNode)
     publish_camera(bench)
     publisher = bench.advertise(message_type, 'video', BEST_EFFORT)
-    encoder, packets = ImageEncoder(), []
+    encoder, packets = Recoder(), []
     for i, picture in enumerate(clips.pictures()):
         msg = make(picture)
         msg.header.stamp = stamp_to_msg(START + i * 100_000_000)
         publisher.publish(msg)
         bench.spin(lambda: False, 0.02)
         shown = picture if make is raw else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
-        packets += encoder.feed(shown, START + i * 100_000_000)
+        packets += encoder.feed(Picture(shown, START + i * 100_000_000))
     expected = expected_records(packets)
     assert len(expected) >= 2
     assert bench.spin(lambda: len(received) >= len(expected))
@@ -231,13 +236,31 @@ def test_a_topic_of_another_type_is_an_error_that_names_the_usable_ones(bench):
     assert 'FFMPEGPacket' in messages_of(node)
 
 
-def test_a_codec_without_vectors_is_an_error_that_names_the_cure(bench):
+def test_a_codec_that_ffmpeg_does_not_know_is_an_error_that_names_the_cure(bench):
     module = pytest.importorskip('foxglove_msgs.msg')
     node = bench.start(DecoderNode)
     publish_camera(bench)
     publisher = bench.advertise(module.CompressedVideo, 'video')
-    publisher.publish(module.CompressedVideo(format='vp9', data=b'\x82\x49\x83\x42'))
-    assert bench.spin(lambda: 'vp9' in messages_of(node).lower())
+    publisher.publish(module.CompressedVideo(format='mystery', data=b'\x82\x49\x83\x42'))
+    assert bench.spin(lambda: 'send H.264' in messages_of(node))
+
+
+def test_a_codec_without_vectors_is_encoded_again(bench):
+    module = pytest.importorskip('foxglove_msgs.msg')
+    packets = other_codecs.coded(clips.pictures(), 'hevc', 100_000_000, START)
+    received = bench.listen(Correspondences, 'correspondences')
+    node = bench.start(DecoderNode)
+    publish_camera(bench)
+    publisher = bench.advertise(module.CompressedVideo, 'video')
+    for packet in packets:
+        publisher.publish(module.CompressedVideo(
+            timestamp=stamp_to_msg(packet.stamp), format='h265', data=packet.data))
+        bench.spin(lambda: False, 0.02)
+    expected = expected_records(packets)
+    assert len(expected) >= 5
+    assert bench.spin(lambda: len(received) >= len(expected))
+    assert_arrived(received, expected)
+    assert messages_of(node) == 'ok'
 
 
 def test_reset_and_pause(bench):

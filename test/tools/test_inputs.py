@@ -1,10 +1,11 @@
-from mv_slapse.codec.packet import Packet
+from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.codec.source import open_source
+from mv_slapse.encoding.recoder import Recoder
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.fields import header
 from mv_slapse.storage.bag_writer import BagWriter
 from mv_slapse.tools import inputs
-from mv_slapse.video_messages import FFMPEG_PACKET, IMAGE, packet_to_fields, Picture
+from mv_slapse.video_messages import FFMPEG_PACKET, IMAGE, packet_to_fields
 import numpy as np
 import pytest
 
@@ -25,14 +26,14 @@ def test_a_file_is_opened_with_its_size(clip):
 
 def test_pictures_are_coded_and_keep_their_stamps():
     items = [Picture(image, PERIOD * k) for k, image in enumerate(pictures())]
-    packets = list(inputs.coded(iter(items)))
+    packets = list(inputs.coded(iter(items), Recoder()))
     assert sorted(packet.stamp for packet in packets) == [PERIOD * k for k in range(6)]
     assert {packet.codec for packet in packets} == {'mpeg2video'}
 
 
 def test_packets_pass_as_they_are():
     packets = [Packet(b'x', 0, True, 'h264'), Packet(b'y', 1, False, 'h264')]
-    assert list(inputs.coded(iter(packets))) == packets
+    assert list(inputs.coded(iter(packets), Recoder())) == packets
 
 
 def test_raw_pictures_come_out_of_a_bag(tmp_path):

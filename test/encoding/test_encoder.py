@@ -1,5 +1,5 @@
-from mv_slapse.codec.encoder import encode, Encoding, ImageEncoder, LOW_LATENCY, write_video
 from mv_slapse.codec.source import open_source
+from mv_slapse.encoding.encoder import encode, Encoding, ImageEncoder, LOW_LATENCY, write_video
 from mv_slapse.errors import UsageError
 import numpy as np
 import pictures

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import av
 from mv_slapse.codec.packet import Packet
+from mv_slapse.config import EncoderSettings
 from mv_slapse.errors import UnusableInput, UsageError
 import numpy as np
 
@@ -58,6 +59,18 @@ class Encoding:
 
 
 LOW_LATENCY = Encoding('h264', 0, 30)
+LONGEST_GROUP = 600  # pictures, the most of FFmpeg's MPEG-2 encoder
+
+
+def encoding_of(settings: EncoderSettings) -> Encoding:
+    """Return how pictures are coded that stay in memory: no loss asks for an I frame."""
+    quality, options = str(settings.quality), {}
+    if settings.codec == 'mpeg2video' and not settings.b_frames:
+        options = {'flags': '+qscale+low_delay'}  # or the encoder holds one picture back
+    if settings.quality:
+        options |= ({'crf': quality} if settings.codec == 'h264'
+                    else {'qmin': quality, 'qmax': quality})
+    return Encoding(settings.codec, settings.b_frames, LONGEST_GROUP, options)
 
 
 class ImageEncoder:
@@ -67,6 +80,7 @@ class ImageEncoder:
         """Open nothing until the first picture tells the size."""
         self._encoding = encoding or Encoding()
         self._context = None
+        self._size = (0, 0)
         self._stamps: dict[int, int] = {}
         self._count = 0
 
@@ -80,14 +94,20 @@ class ImageEncoder:
         stamp : int
             Time [ns].
         """
-        if self._context is None:
-            height, width = image.shape[:2]
+        return self.feed_frame(_frame(image), stamp)
+
+    def feed_frame(self, frame: av.VideoFrame, stamp: int) -> list[Packet]:
+        """Return the packets that a decoded picture completes; another size begins anew."""
+        size, before = (frame.width, frame.height), []
+        if size != self._size:
+            before = self.flush()
+            self._size = size
             self._context = av.CodecContext.create(ENCODERS[self._encoding.codec], 'w')
-            configure(self._context, self._encoding, width, height, Fraction(25))
-        picture = _picture(image, self._count, self._context.time_base)
+            configure(self._context, self._encoding, *size, Fraction(25))
         self._stamps[self._count] = stamp
+        picture = _numbered(frame, self._count, self._context.time_base)
         self._count += 1
-        return self._packets(picture)
+        return before + self._packets(picture)
 
     def flush(self) -> list[Packet]:
         """Return the packets still held back."""
@@ -129,7 +149,7 @@ def write_video(path: str | Path, images: Iterable[np.ndarray], fps: float,
             if not i:
                 height, width = image.shape[:2]
                 configure(stream.codec_context, encoding, width, height, rate)
-            container.mux(stream.encode(_picture(image, i, 1 / rate)))
+            container.mux(stream.encode(_numbered(_frame(image), i, 1 / rate)))
         container.mux(stream.encode(None))
 
 
@@ -160,10 +180,14 @@ def leave_out(source: str | Path, path: str | Path, lost: range):
                 kept.mux(packet)
 
 
-def _picture(image: np.ndarray, number: int, time_base: Fraction) -> av.VideoFrame:
+def _frame(image: np.ndarray) -> av.VideoFrame:
     height, width = (size // 2 * 2 for size in image.shape[:2])
-    kind = 'gray' if image.ndim == 2 else 'bgr24'
-    picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image[:height, :width]), kind)
-    picture = picture.reformat(format='yuv420p')
-    picture.pts, picture.time_base = number, time_base
+    return av.VideoFrame.from_ndarray(np.ascontiguousarray(image[:height, :width]),
+                                      'gray' if image.ndim == 2 else 'bgr24')
+
+
+def _numbered(frame: av.VideoFrame, number: int, time_base: Fraction) -> av.VideoFrame:
+    picture = frame.reformat(width=frame.width // 2 * 2, height=frame.height // 2 * 2,
+                             format='yuv420p')
+    picture.pts, picture.time_base, picture.pict_type = number, time_base, 0
     return picture
