@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field, replace
 
+from formulas import fit_moving_plane
 from mv_slapse.geometry.moving_plane import COVERED
-from mv_slapse.movers.moving_plane import fit_moving_plane
 from mv_slapse.records import (
     CameraMotion,
     Extraction,

@@ -7,6 +7,11 @@ import numpy as np
 from scipy import ndimage
 
 
+def off_plane(depths, plane):
+    """Return the distance (N,) of depths from a plane, in standard deviations."""
+    return (depths.rho + depths.rays @ plane) / depths.sigma
+
+
 def moved(probability, log_ratio, width):
     """Return a belief moved by a log ratio and spread by a width."""
     after = np.interp(GRID + log_ratio, GRID, probability, 0.0, 0.0)
@@ -66,7 +71,7 @@ def proposals(depths, normal, radius, draws):
 
 def refined(depths, plane, mean, information):
     for _ in range(5):
-        weight = 1 / np.square(1 + np.square(depths.error(plane) / 2)) / depths.sigma**2
+        weight = 1 / np.square(1 + np.square(off_plane(depths, plane) / 2)) / depths.sigma**2
         A = depths.rays.T @ (weight[:, None] * depths.rays) + information
         b = -depths.rays.T @ (weight * depths.rho) + information @ mean
         A += np.eye(3) * (1e-9 * np.trace(A) + 1e-12)
@@ -111,14 +116,14 @@ def find_ground(depths, free, prior, rules, draws, lone):
         mean, information = prior.information(plane)
         plane, covariance = refined(sample[sharp(sample, plane)], plane, mean,
                                     POLICY['ground_dependence'] * information)
-    member = use & sharp(depths, plane) & (np.abs(depths.error(plane)) < rules.cut)
+    member = use & sharp(depths, plane) & (np.abs(off_plane(depths, plane)) < rules.cut)
     index = np.flatnonzero(member)
     member[index] = lone[index] | large(depths.x[index], rules.min_macroblocks // 4)
-    error = sample.error(plane)
-    below = sample[error < -rules.cut]
+    off = off_plane(sample, plane)
+    below = sample[off < -rules.cut]
     log = np.sort(np.log(below.rho / -(below.rays @ plane)))
     alike = np.max(np.searchsorted(log, log + POLICY['alike']) - np.arange(len(log)), initial=0)
-    speaks = alike if known else np.sum(np.abs(error) > rules.cut)
+    speaks = alike if known else np.sum(np.abs(off) > rules.cut)
     if speaks > member.sum() or prior.distance(plane[None])[0] > 9:
         return None
     return plane, covariance, member

@@ -2,10 +2,10 @@
 
 from types import SimpleNamespace
 
+import formulas
 from mv_slapse.geometry import epipolar, lattice, moving_plane
 from mv_slapse.geometry.blocks import grid_index, grid_shape
-from mv_slapse.geometry.camera import to_rays
-from mv_slapse.geometry.homography import transfer
+from mv_slapse.geometry.camera import to_pixels, to_rays
 import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_matrix
@@ -29,10 +29,10 @@ def moving_regions(pair, view, ground, nearer, free_growth, rules):
     """Return what the kernel of that name does."""
     rays, before = to_rays(view.K, pair.x), to_rays(view.K, pair.x_prev)
     focal, n = np.diag(view.K)[:2], len(pair.x)
-    m = epipolar.parallax(rays, before, focal, view.R)
+    m = formulas.parallax(rays, before, focal, view.R)
     under = -(rays @ ground)
     rho, per_pixel = epipolar.inverse_depth(rays, before, focal, view.R, view.t)
-    error = np.abs(epipolar.epipolar_error(rays, before, focal, view.R, view.t)) / pair.sigma
+    error = np.abs(formulas.epipolar_error(rays, before, focal, view.R, view.t)) / pair.sigma
     noise, length = per_pixel * pair.sigma, np.linalg.norm(m, axis=1)
     slack = 3 * noise + rules.on_ground * under
     ground_like = ((under > 0) & (error < 4) & (rho - under > -slack)
@@ -216,7 +216,8 @@ def grown(pair, regions, moving, products, view, rules):
         low[1] -= 0.5 * (high[1] - low[1])
         near = np.flatnonzero(free & np.all((pair.x >= low) & (pair.x <= high), axis=1))
         H = moving_plane.homography(product, view.K, view.R)
-        error = np.linalg.norm(transfer(H, pair.x[near]) - pair.x_prev[near], axis=1)
+        before = to_pixels(H, np.c_[pair.x[near], np.ones(len(near))])
+        error = np.linalg.norm(before - pair.x_prev[near], axis=1)
         length = np.linalg.norm(regions.parallax[near], axis=1)
         within = np.all((pair.x[near] >= x.min(axis=0)) & (pair.x[near] <= x.max(axis=0)), axis=1)
         pixel = np.where(within, rules.alike, np.clip(rules.alike_beside * length, 0.5,

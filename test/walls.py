@@ -2,7 +2,7 @@
 
 from canyon import GRID, K
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.surfaces.consensus import Depths
+from mv_slapse.motion.observations import Depths
 import numpy as np
 
 UP = np.array([0.0, -1.0, 0.0])

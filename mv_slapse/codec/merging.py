@@ -1,6 +1,6 @@
 """A segment's evidence to one vector for each macroblock, section V-A of [SLAPSE]."""
 
-from math import comb, sqrt
+from math import sqrt
 
 from mv_slapse.codec.evidence import Evidence, is_ambiguous, of_one_interval
 from mv_slapse.codec.prior import MotionPrior
@@ -26,30 +26,6 @@ def existence(kind: SegmentKind, n_b: int, p: float) -> float:
     """
     none_indirect = (1 - p * p) ** n_b
     return 1 - none_indirect if kind is SegmentKind.PI else 1 - (1 - p) * none_indirect
-
-
-def merged_variance(n_indirect, has_direct, direct_weight: float):
-    """Return the variance of a merged vector in units of one vector's variance.
-
-    The average of a direct vector (variance 1, weight w) and n indirect ones (variance 2, weight
-    1) has variance (w^2 + 2 n) / (w + n)^2; [SLAPSE] (5) takes w = sqrt 2, inverse variances
-    give w = 2. Works on arrays.
-    """
-    w = direct_weight * has_direct
-    return (w ** 2 + 2 * n_indirect) / (w + n_indirect) ** 2
-
-
-def expected_variance(kind: SegmentKind, n_b: int, p: float, direct_weight: float) -> float:
-    """Return the variance of a merged vector, given that it exists: Lemma 2 of [SLAPSE], (8), (9).
-
-    The mixture over which of the evidence is right, of `merged_variance`, divided by Lemma 1.
-    """
-    q = p * p
-    directs = ((0, 1.0),) if kind is SegmentKind.PI else ((0, 1 - p), (1, p))
-    total = sum(chance * comb(n_b, n) * q ** n * (1 - q) ** (n_b - n)
-                * merged_variance(n, direct, direct_weight)
-                for direct, chance in directs for n in range(n_b + 1) if n + direct)
-    return total / existence(kind, n_b, p)
 
 
 def merge(segment: Segment, evidence: Evidence, settings: DecoderSettings,

@@ -10,9 +10,7 @@ to 2 px: a block that is skipped has the predicted vectors without any search.
 """
 
 from mv_slapse.codec.motion_vectors import FrameVectors
-from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import FrameType
-import numpy as np
 
 RISE = {FrameType.P: 8.0, FrameType.B: 10.5}  # px, of a vector that equals its prediction
 
@@ -25,12 +23,3 @@ def kernel_frame(frame: FrameVectors) -> tuple:
     is_known = frame.is_predicted and frame.references == 1
     return (frame.x, frame.displacement, frame.direction, frame.block, frame.width, frame.height,
             RISE.get(frame.frame_type, 0.0) if is_known else 0.0)
-
-
-def leaning(frame: FrameVectors) -> np.ndarray:
-    """Return how far (N,) [px] below the middle of each block the point lies that it tells of.
-
-    Zero for partitions, few of which are as predicted; above the middle it is negative. The
-    prediction is that of ITU-T H.264, 8.4.1.3, for one reference picture in each direction.
-    """
-    return compiled.leaning(kernel_frame(frame))

@@ -18,7 +18,7 @@ from mv_slapse.motion import (
 )
 from mv_slapse.motion import observations as block_observations
 from mv_slapse.motion.estimate import MotionFit, refined_from
-from mv_slapse.motion.observations import BlockObservations
+from mv_slapse.motion.observations import BlockObservations, Depths
 from mv_slapse.movers import possibly_dynamic, regions
 from mv_slapse.movers.mask import Silhouettes
 from mv_slapse.movers.possibly_dynamic import BlockDepths
@@ -31,7 +31,6 @@ from mv_slapse.records import (
     MotionStatus,
 )
 from mv_slapse.surfaces import depth_grid, ground, joint, plane_search
-from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride, Vectors
 from mv_slapse.surfaces.plane_search import PlaneFit
 from mv_slapse.surfaces.plane_track import KnownPlanes

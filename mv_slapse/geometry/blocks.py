@@ -11,17 +11,6 @@ def macroblock_of(x: np.ndarray) -> np.ndarray:
     return np.floor((x + 0.5) / MACROBLOCK).astype(np.intp)
 
 
-def cell_of(x: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Return column and row (N, 2) int of the cell at the upper left corner of blocks.
-
-    Parameters
-    ----------
-    x, block : (N, 2), (N, 2) arrays
-        Centres and sizes [px].
-    """
-    return np.floor((x + 0.5 - block / 2) / CELL).astype(np.intp)
-
-
 def grid_shape(width: int, height: int) -> tuple[int, int]:
     """Return columns and rows of macroblocks; those cut by the border count."""
     return -(-width // MACROBLOCK), -(-height // MACROBLOCK)

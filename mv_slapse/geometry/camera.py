@@ -57,19 +57,6 @@ def undistort(camera: Camera, x: np.ndarray) -> np.ndarray:
                                    stop)[:, 0]
 
 
-def distort(camera: Camera, x: np.ndarray) -> np.ndarray:
-    """Return the pixels (N, 2) float64 at which the lens shows ideal pixels (N, 2)."""
-    x = np.asarray(x, float)
-    if not np.any(camera.distortion) or not len(x):
-        return x.copy()
-    rays = to_rays(camera.K, x)
-    if camera.lens == 'equidistant':
-        return cv2.fisheye.distortPoints(rays[:, None, :2].copy(), camera.K,
-                                         camera.distortion)[:, 0]
-    return cv2.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), camera.K,
-                             camera.distortion)[0][:, 0]
-
-
 def to_rays(K: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return K^-1 x, homogeneous with last coordinate 1, (N, 3), of pixels (N, 2)."""
     rays = np.ones((len(x), 3))

@@ -4,38 +4,8 @@ Motion as in [MVO]: X_cur = R X_prev + t, so x_cur^T F x_prev = 0 with F = K^-T 
 Rays are K^-1 x with last coordinate 1. Inverse depths are in units of 1/|t|.
 """
 
-from mv_slapse.geometry.rotation import cross, skew
 from mv_slapse.kernels.binding import compiled
 import numpy as np
-
-
-def fundamental(K, R_cur_from_prev, t_cur_from_prev) -> np.ndarray:
-    """Return F (3, 3) with x_cur^T F x_prev = 0, (4) of [MVO]."""
-    K_inv = np.linalg.inv(K)
-    return K_inv.T @ skew(t_cur_from_prev) @ R_cur_from_prev @ K_inv
-
-
-def epipolar_error(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
-    """Signed distance of x_prev from its epipolar line, the Sampson error of (5) in [MVO].
-
-    A block's centre is exact and its match is not, so all noise is in x_prev and the first-order
-    (Sampson) error is this distance.
-
-    Parameters
-    ----------
-    rays_cur, rays_prev : (N, 3) arrays
-    focal : (2,) array
-        fx, fy [px].
-    R_cur_from_prev, t_cur_from_prev : (3, 3), (3,) arrays
-        Motion; any length of t.
-
-    Returns
-    -------
-    error : (N,) array
-        [px].
-    """
-    return compiled.epipolar_error(*map(_contiguous, (
-        rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev)))
 
 
 def _contiguous(array) -> np.ndarray:
@@ -63,22 +33,3 @@ def inverse_depth(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
     """
     return compiled.inverse_depth(*map(_contiguous, (
         rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev)))
-
-
-def inverse_depth_jacobian(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
-    """Return inverse_depth's rho (N,) and its derivative (N, 6) by (w, t), R -> exp(w) R."""
-    y = derotate(rays_prev, R_cur_from_prev)
-    g = (t_cur_from_prev[:2] - y[:, :2] * t_cur_from_prev[2]) * focal
-    square = np.maximum(np.sum(g * g, axis=1), 1e-18)[:, None]
-    gap = (rays_cur[:, :2] - y[:, :2]) * focal
-    rho = np.sum(gap * g, axis=1) / square[:, 0]
-    by_gap, by_g = g / square * focal, (gap - 2 * rho[:, None] * g) / square * focal
-    # y moves by w x y, and back to z = 1; what a vector v in the picture tells by y is v . dy.
-    by_y = -by_gap - by_g * t_cur_from_prev[2]
-    by_y = np.c_[by_y, -np.sum(by_y * y[:, :2], axis=1)]
-    return rho, np.c_[cross(y, by_y), by_g, -np.sum(by_g * y[:, :2], axis=1)]
-
-
-def parallax(rays_cur, rays_prev, focal, R_cur_from_prev):
-    """Pixel displacement x_cur - x'_prev (N, 2) that is left after rotation is removed, (6)."""
-    return (rays_cur[:, :2] - derotate(rays_prev, R_cur_from_prev)[:, :2]) * focal

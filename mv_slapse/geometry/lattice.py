@@ -22,17 +22,3 @@ def lookup(grid: np.ndarray, x: np.ndarray) -> np.ndarray:
 def count_macroblocks(x: np.ndarray) -> int:
     """Return in how many macroblocks pixels (N, 2) lie."""
     return compiled.count_macroblocks(np.ascontiguousarray(x, float))
-
-
-def components(x: np.ndarray, reach: int = 1) -> np.ndarray:
-    """Return for each block (N, 2) the number of its connected component, from 0.
-
-    Blocks are connected over gaps of up to ``2 * reach`` macroblocks. Components are numbered in
-    the order of their first macroblocks, row by row.
-    """
-    return compiled.components(np.ascontiguousarray(x, float), reach)
-
-
-def largest_components(x: np.ndarray, smallest: int, reach: int = 1) -> np.ndarray:
-    """Return the mask of blocks in components of at least ``smallest`` macroblocks."""
-    return compiled.largest_components(np.ascontiguousarray(x, float), smallest, reach)

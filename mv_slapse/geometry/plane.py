@@ -13,20 +13,7 @@ def from_normal_depth(normal: np.ndarray, depth: float) -> np.ndarray:
     return normal / depth
 
 
-def to_normal_depth(plane: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the unit normal and the positive depth [m] of a plane."""
-    depth = 1 / np.linalg.norm(plane)
-    return plane * depth, float(depth)
-
-
 def transform(plane_a: np.ndarray, R_b_from_a: np.ndarray, t_b_from_a: np.ndarray) -> np.ndarray:
     """Express a plane of frame a in frame b, where ``X_b = R_b_from_a @ X_a + t_b_from_a``."""
     rotated = R_b_from_a @ plane_a
     return rotated / (1 - rotated @ t_b_from_a)
-
-
-def normal_depth_jacobian(plane: np.ndarray) -> np.ndarray:
-    """Return the derivative (4, 3) of (normal, depth) by the plane."""
-    depth = 1 / np.linalg.norm(plane)
-    normal = plane * depth
-    return np.vstack([depth * (np.eye(3) - np.outer(normal, normal)), -depth**2 * normal])

@@ -137,12 +137,3 @@ def _excess(single: DepthMap, smooth: DepthMap, expected: float) -> BaselineRati
     block that errs low would weigh more.
     """
     return BaselineRatio(*compiled.depth_excess(single.columns, smooth.columns, POLICY, expected))
-
-
-def robust_mean(value: np.ndarray, sigma: np.ndarray, expected: float = 0.0) -> BaselineRatio:
-    """Return the mode of values with errors sigma, refined; far values count nothing.
-
-    Of two modes the one nearer to ``expected`` may be the smaller: vectors to another reference
-    picture than was meant make a mode of their own.
-    """
-    return BaselineRatio(*compiled.robust_mean(value, sigma, POLICY, expected))

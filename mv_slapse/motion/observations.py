@@ -64,14 +64,27 @@ class BlockObservations:
 COLUMNS = tuple(item.name for item in fields(BlockObservations))[1:]
 
 
-def behind(pair: two_view.Pair, R, t) -> float:
-    """Return the share of the blocks, weighed by their parallax, that are behind the camera.
+@dataclass(frozen=True)
+class Depths:
+    """Inverse depths of blocks: rays (N, 3), rho (N,), sigma (N,) [1/baseline], x (N, 2) [px]."""
 
-    A block's vote of [MVO] 4.2 (alpha < 90 degrees for a camera that moves forward, >= 90 for one
-    that moves backward) is the sign of (t_xy - x'_prev t_z) . (x_cur - x'_prev): the epipole
-    e = t_xy / t_z is kept homogeneous, so that a camera moving sideways has a vote too.
-    """
-    return compiled.behind(*two_view.columns(pair, R, t))
+    rays: np.ndarray
+    rho: np.ndarray
+    sigma: np.ndarray
+    x: np.ndarray
+
+    def __getitem__(self, mask) -> 'Depths':
+        """Return those of a mask or an index."""
+        return Depths(self.rays[mask], self.rho[mask], self.sigma[mask], self.x[mask])
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return len(self.rho)
+
+    @property
+    def columns(self) -> tuple[np.ndarray, ...]:
+        """Return rays, rho, sigma and pixels as kernels take them."""
+        return self.rays, self.rho, self.sigma, np.ascontiguousarray(self.x, float)
 
 
 def may_turn(parallax: np.ndarray, epsilon_m: float) -> bool:

@@ -123,57 +123,6 @@ class Surfaces(NamedTuple):
                         self.inlier[rows], self.variance[one])
 
 
-def time_to_contact(closing: float, variance: float, dt: float) -> tuple[float, float]:
-    """Time until the seen surface reaches the camera's plane, and its variance [s], [s^2].
-
-    With the product M = (t - t_d) plane^T and the ray r of the region's centre, -M r is the
-    surface's displacement relative to the camera over its depth Z. Its third coordinate is -s:
-    in dt the depth shrinks by s Z, so tau = Z / (s Z / dt) = dt / s, in which no scale is left.
-
-    Parameters
-    ----------
-    closing, variance : float
-        s and its variance; infinite times where s is not positive.
-    dt : float
-        Time of the pair [s].
-    """
-    if closing <= 0:
-        return np.inf, np.inf
-    return dt / closing, dt**2 * variance / closing**4
-
-
-def fit_moving_plane(x_cur, x_prev, sigma, block, K, R_cur_from_prev, t_cur_from_prev,
-                     ground=None) -> MovingPlane | None:
-    """Estimate the plane and the displacement of a moving region, (12) of [MVO].
-
-    Parameters
-    ----------
-    x_cur, x_prev : (N, 2) arrays
-        Block centres in key frame k and their matches in the previous one, undistorted [px].
-    sigma : (N,) array
-        Standard deviation of a coordinate of ``x_prev`` [px].
-    block : (N, 2) array
-        Width and height of the blocks [px].
-    K, R_cur_from_prev, t_cur_from_prev : (3, 3), (3, 3), (3,) arrays
-        Intrinsics [px] and camera motion; its length is the unit (zero: standing camera, then
-        the unit is the ground's).
-    ground : (3,) array, optional
-        Ground plane n / d in camera k, in the same unit.
-
-    Returns
-    -------
-    moving : MovingPlane or None
-        None where fewer than 4 vectors, or less than half of them, agree on a motion.
-    """
-    if len(x_cur) < MIN_BLOCKS:
-        return None
-    x_cur, x_prev, sigma, t = (np.ascontiguousarray(values, float) for values in (
-        x_cur, x_prev, sigma, t_cur_from_prev))
-    view = View(K, np.ascontiguousarray(R_cur_from_prev), t)
-    fit = fit_surfaces(Regions(x_cur, x_prev, sigma, np.zeros(1, int)), view, ground)
-    return settled(fit, x_cur, np.asarray(block, float), view, ground)
-
-
 def fit_surfaces(regions: Regions, view: View, ground: np.ndarray | None) -> Surfaces:
     """Estimate rate and slope of each region: robust Gauss-Newton, (12) of [MVO].
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from mv_slapse.geometry import lattice, moving_plane
 from mv_slapse.geometry.blocks import MACROBLOCK
-from mv_slapse.geometry.homography import transfer
+from mv_slapse.geometry.camera import to_pixels
 from mv_slapse.motion.estimate import MIN_CORRESPONDENCES
 from mv_slapse.records import Extraction, Label
 import numpy as np
@@ -50,7 +50,8 @@ def like_movers(shown: Extraction, parallax: np.ndarray) -> np.ndarray:
         near = np.flatnonzero(np.all((x >= box[0]) & (x <= box[1]), axis=1)
                               & (shown.plane_id < 0))
         H = moving_plane.homography(plane.product, shown.K, R)
-        error = np.linalg.norm(transfer(H, x[near]) - shown.x_prev[near], axis=1)
+        before = to_pixels(H, np.c_[x[near], np.ones(len(near))])
+        error = np.linalg.norm(before - shown.x_prev[near], axis=1)
         found[near[error < slack[near]]] = True
     return found
 

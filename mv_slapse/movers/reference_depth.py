@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 from mv_slapse.geometry.two_view import Pair
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.motion.observations import BlockObservations
+from mv_slapse.motion.observations import BlockObservations, Depths
 from mv_slapse.records import Extraction
-from mv_slapse.surfaces.consensus import Depths
 import numpy as np
 
 OLDEST = 700_000_000  # [ns]; older depths err by more

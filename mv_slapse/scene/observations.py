@@ -6,10 +6,8 @@ each step.
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import NamedTuple
 
 from mv_slapse.config import SceneSettings
-from mv_slapse.kernels.binding import compiled
 from mv_slapse.scene.state import (
     HEIGHT,
     N_LASTING,
@@ -67,21 +65,9 @@ class Observation:
                                self.depths])
 
 
-class Linearised(NamedTuple):
-    """Innovation z - h (m,) and derivative H of h (m, n) by the error state."""
-
-    innovation: np.ndarray
-    H: np.ndarray
-
-
 def rows(observations: list[Observation], state: SceneState) -> np.ndarray:
     """Return observations (K, 30) as the kernels take them."""
     return np.array([one.row(state) for one in observations]).reshape(-1, 30)
-
-
-def linearised(observation: Observation, state: SceneState) -> Linearised:
-    """Return what an observation says at a state."""
-    return Linearised(*compiled.scene_observe(*state.arrays, rows([observation], state)))
 
 
 def mounted(ground: int, settings: SceneSettings, lasting: np.ndarray) -> list[Observation]:

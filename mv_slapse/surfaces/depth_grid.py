@@ -11,7 +11,7 @@ from mv_slapse.changed import replace
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.blocks import grid_shape
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.surfaces.consensus import Depths
+from mv_slapse.motion.observations import Depths
 import numpy as np
 
 GATE = 9.0  # squared, 3 sigma: what differs by more is another surface, or was measured wrongly

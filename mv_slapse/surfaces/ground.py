@@ -11,9 +11,8 @@ from mv_slapse.changed import replace
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.motion.observations import BlockObservations
+from mv_slapse.motion.observations import BlockObservations, Depths
 from mv_slapse.surfaces import height
-from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.height import HeightBelief, RoadBlocks
 from mv_slapse.surfaces.plane_search import PlaneFit, Rules
 import numpy as np

@@ -8,7 +8,7 @@ of the picture tells to half a per cent; so the evidence of many pairs comes tog
 from dataclasses import dataclass
 
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.surfaces.consensus import Depths
+from mv_slapse.motion.observations import Depths
 import numpy as np
 
 STEP = 0.04  # of log(height): half of what one block tells at best

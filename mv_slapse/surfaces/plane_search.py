@@ -17,7 +17,7 @@ from functools import cached_property
 
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.surfaces.consensus import Depths
+from mv_slapse.motion.observations import Depths
 from mv_slapse.surfaces.plane_track import GATE, KnownPlanes
 import numpy as np
 

@@ -1,5 +1,6 @@
 from itertools import product
 
+import formulas
 from mv_slapse.codec import merging
 from mv_slapse.codec.evidence import Evidence
 from mv_slapse.codec.motion_vectors import FrameVectors
@@ -42,13 +43,13 @@ def test_lemma_2_is_the_scatter_of_merged_vectors(rng, kind, weight):
     whole = weight * has_direct + is_right.sum(axis=1)
     some = whole > 0
     merged = (weight * has_direct * direct + (is_right * indirect).sum(axis=1))[some] / whole[some]
-    expected = merging.expected_variance(kind, n_b, p, weight)
+    expected = formulas.expected_variance(kind, n_b, p, weight)
     assert merged.var() == pytest.approx(expected, rel=0.02)
 
 
 def test_inverse_variance_weights_beat_the_papers():
-    assert merging.merged_variance(3, 1, 2.0) < merging.merged_variance(3, 1, 2 ** 0.5)
-    assert merging.merged_variance(3, 1, 2.0) == pytest.approx(1 / (1 + 3 / 2))
+    assert formulas.merged_variance(3, 1, 2.0) < formulas.merged_variance(3, 1, 2 ** 0.5)
+    assert formulas.merged_variance(3, 1, 2.0) == pytest.approx(1 / (1 + 3 / 2))
 
 
 def lattice(motion, variance=1.0, shift=(0.0, 0.0), size=16):

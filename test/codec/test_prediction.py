@@ -1,7 +1,7 @@
 from dataclasses import replace
 
+import formulas
 from kernels import evidence_reference
-from mv_slapse.codec import prediction
 from mv_slapse.codec.motion_vectors import FrameVectors, FUTURE, PAST
 from mv_slapse.records import FrameType
 import numpy as np
@@ -79,7 +79,7 @@ def test_a_vector_near_its_prediction_tells_of_a_point_above(rng, gap, rise):
     frame = picture(rng)
     own = COLUMNS + 1
     frame.displacement[own] = predicted(frame, (1, 1))[0] + [0, gap]
-    np.testing.assert_allclose(prediction.leaning(frame)[own], -rise)
+    np.testing.assert_allclose(formulas.leaning(frame)[own], -rise)
 
 
 def test_vectors_of_a_b_picture_are_predicted_from_those_of_the_same_direction(rng):
@@ -91,14 +91,14 @@ def test_vectors_of_a_b_picture_are_predicted_from_those_of_the_same_direction(r
                    block=np.r_[past.block, future.block])
     for first, alone in ((0, past), (len(past), future)):
         both.displacement[first + own] = predicted(alone, (1, 1))[0]
-    leaning = prediction.leaning(both)
+    leaning = formulas.leaning(both)
     np.testing.assert_array_equal(leaning[[own, len(past) + own]], [-10.5, -10.5])
     assert np.sum(leaning < -10) == 2
 
 
 def test_nothing_leans_where_the_prediction_is_unknown(rng):
     frame = picture(rng)
-    assert not prediction.leaning(replace(frame, is_predicted=False)).any()
-    assert not prediction.leaning(replace(frame, references=2)).any()
+    assert not formulas.leaning(replace(frame, is_predicted=False)).any()
+    assert not formulas.leaning(replace(frame, references=2)).any()
     half = picture(rng, block=np.full((COLUMNS * ROWS, 2), (16, 8), np.uint8))
-    assert not prediction.leaning(half).any()
+    assert not formulas.leaning(half).any()

@@ -1,8 +1,9 @@
 """Lenses there and back, and cameras that are refused."""
 
 import cv2
+from formulas import distort
 from mv_slapse.errors import UnusableInput
-from mv_slapse.geometry.camera import Camera, distort, to_pixels, to_rays, undistort
+from mv_slapse.geometry.camera import Camera, to_pixels, to_rays, undistort
 import numpy as np
 import pytest
 

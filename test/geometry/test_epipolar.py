@@ -1,6 +1,7 @@
 """Two views of a canyon: errors, depths and parallax by definition, Jacobians numerically."""
 
 from canyon import GRID, K, motion, MOTIONS, views
+import formulas
 from kernels.two_view_reference import epipolar_jacobian
 from mv_slapse.geometry import epipolar, rotation
 from mv_slapse.geometry.camera import to_rays
@@ -18,19 +19,19 @@ def exact(request):
 
 def error_of(scene, x_prev, w=0.0, t=None):
     R = rotation.exp(w * np.ones(3)) @ scene.R if np.isscalar(w) else rotation.exp(w) @ scene.R
-    return epipolar.epipolar_error(to_rays(K, scene.x_cur), to_rays(K, x_prev), FOCAL, R,
+    return formulas.epipolar_error(to_rays(K, scene.x_cur), to_rays(K, x_prev), FOCAL, R,
                                    scene.t if t is None else t)
 
 
 def test_fundamental_matrix_vanishes_on_matches(exact):
-    F = epipolar.fundamental(K, exact.R, exact.t)
+    F = formulas.fundamental(K, exact.R, exact.t)
     x, x_prev = (np.c_[x, np.ones(len(x))] for x in (exact.x_cur, exact.x_true))
     np.testing.assert_allclose(np.sum(x @ F * x_prev, axis=1), 0, atol=1e-12)
 
 
 def test_error_is_the_distance_from_the_line_of_the_fundamental_matrix(rng, exact):
     x_prev = exact.x_true + rng.normal(0, 5, exact.x_true.shape)
-    lines = np.c_[exact.x_cur, np.ones(len(x_prev))] @ epipolar.fundamental(K, exact.R, exact.t)
+    lines = np.c_[exact.x_cur, np.ones(len(x_prev))] @ formulas.fundamental(K, exact.R, exact.t)
     distance = np.sum(lines * np.c_[x_prev, np.ones(len(x_prev))], axis=1) / np.hypot(
         *lines[:, :2].T)
     np.testing.assert_allclose(error_of(exact, x_prev), distance, atol=1e-9)
@@ -62,7 +63,7 @@ def test_derotated_points_at_infinity_do_not_move():
     np.testing.assert_allclose(epipolar.derotate(to_rays(K, sky.x_prev), R), to_rays(K, sky.x_cur),
                                atol=1e-12)
     np.testing.assert_allclose(
-        epipolar.parallax(to_rays(K, sky.x_cur), to_rays(K, sky.x_prev), FOCAL, R), 0, atol=1e-9)
+        formulas.parallax(to_rays(K, sky.x_cur), to_rays(K, sky.x_prev), FOCAL, R), 0, atol=1e-9)
 
 
 def test_inverse_depth_is_the_true_one(exact):
@@ -112,7 +113,7 @@ def test_inverse_depth_jacobian_is_the_numerical_one(exact):
         return epipolar.inverse_depth(rays_cur, rays_prev, FOCAL, rotation.exp(p[:3]) @ exact.R,
                                       exact.t + p[3:])[0][away]
 
-    rho, J = epipolar.inverse_depth_jacobian(rays_cur, rays_prev, FOCAL, exact.R, exact.t)
+    rho, J = formulas.inverse_depth_jacobian(rays_cur, rays_prev, FOCAL, exact.R, exact.t)
     np.testing.assert_allclose(rho[away], depths(np.zeros(6)), atol=1e-13)
     expected = jacobian(depths, np.zeros(6))
     np.testing.assert_allclose(J[away], expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
@@ -122,7 +123,7 @@ def test_parallax_is_what_translation_leaves(exact):
     rays = to_rays(K, exact.x_cur)
     untranslated = rays - exact.rho[:, None] * exact.t
     expected = (rays[:, :2] - untranslated[:, :2] / untranslated[:, 2:]) * FOCAL
-    found = epipolar.parallax(rays, to_rays(K, exact.x_true), FOCAL, exact.R)
+    found = formulas.parallax(rays, to_rays(K, exact.x_true), FOCAL, exact.R)
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 

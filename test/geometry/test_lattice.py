@@ -1,5 +1,6 @@
 """Cells and macroblocks by small pictures."""
 
+import formulas
 from mv_slapse.geometry import lattice
 import numpy as np
 import pytest
@@ -67,20 +68,20 @@ def test_macroblocks_are_counted_once_however_many_partitions_they_have():
 
 @pytest.mark.parametrize(('gap', 'together'), [(1, True), (2, True), (3, True), (4, False)])
 def test_components_reach_over_gaps_of_fewer_than_three_blocks(gap, together):
-    component = lattice.components(centres((2, 2), (2 + gap, 2)))
+    component = formulas.components(centres((2, 2), (2 + gap, 2)))
     assert (component[0] == component[1]) is np.bool_(together)
 
 
 def test_components_are_numbered_from_zero():
-    component = lattice.components(centres((0, 0), (20, 0), (1, 0), (20, 20)))
+    component = formulas.components(centres((0, 0), (20, 0), (1, 0), (20, 20)))
     assert component[0] == component[2]
     np.testing.assert_array_equal(np.unique(component), [0, 1, 2])
-    assert lattice.components(np.zeros((0, 2))).shape == (0,)
+    assert formulas.components(np.zeros((0, 2))).shape == (0,)
 
 
 def test_only_components_of_enough_macroblocks_are_kept():
     x = np.vstack([centres((0, 0), (1, 0), (0, 1)), centres((20, 20), (21, 20)),
                    centres((20, 20)) + 3.0])  # twice the same macroblock
-    np.testing.assert_array_equal(lattice.largest_components(x, 3), [1, 1, 1, 0, 0, 0])
-    np.testing.assert_array_equal(lattice.largest_components(x, 2), True)
-    assert lattice.largest_components(np.zeros((0, 2)), 1).shape == (0,)
+    np.testing.assert_array_equal(formulas.largest_components(x, 3), [1, 1, 1, 0, 0, 0])
+    np.testing.assert_array_equal(formulas.largest_components(x, 2), True)
+    assert formulas.largest_components(np.zeros((0, 2)), 1).shape == (0,)

@@ -1,5 +1,6 @@
 """Planes by the points that lie on them."""
 
+import formulas
 from mv_slapse.geometry import plane, rotation
 from numeric import jacobian
 import numpy as np
@@ -20,13 +21,13 @@ def points(rng, random_plane):
 def test_normal_and_depth_come_back(rng):
     normal, depth = rng.normal(size=3), 3.7
     normal /= np.linalg.norm(normal)
-    found_normal, found_depth = plane.to_normal_depth(plane.from_normal_depth(normal, depth))
+    found_normal, found_depth = formulas.to_normal_depth(plane.from_normal_depth(normal, depth))
     np.testing.assert_allclose(found_normal, normal)
     assert found_depth == pytest.approx(depth)
 
 
 def test_the_point_nearest_to_the_origin_lies_against_the_normal():
-    normal, depth = plane.to_normal_depth(np.array([0, -0.5, 0]))  # a road 2 m below the camera
+    normal, depth = formulas.to_normal_depth(np.array([0, -0.5, 0]))  # a road 2 m below the camera
     np.testing.assert_array_equal(normal, [0, -1, 0])
     assert depth == 2.0
     assert np.array([0, -0.5, 0]) @ [7.0, 2.0, 9.0] == -1
@@ -38,6 +39,6 @@ def test_transformed_points_lie_on_the_transformed_plane(rng, random_plane, poin
 
 
 def test_normal_depth_jacobian_is_the_numerical_one(random_plane):
-    expected = jacobian(lambda p: np.r_[plane.to_normal_depth(p)], random_plane)
-    np.testing.assert_allclose(plane.normal_depth_jacobian(random_plane), expected, rtol=1e-5,
+    expected = jacobian(lambda p: np.r_[formulas.to_normal_depth(p)], random_plane)
+    np.testing.assert_allclose(formulas.normal_depth_jacobian(random_plane), expected, rtol=1e-5,
                                atol=1e-6)

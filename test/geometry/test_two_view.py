@@ -1,6 +1,7 @@
 """Normal equations of a pair against the numerical gradient and Hessian of their cost."""
 
 from canyon import CANYON, K, motion, MOTIONS, SKY, views
+import formulas
 from kernels.two_view_reference import plane_transfer
 from mv_slapse.geometry import rotation, two_view
 from mv_slapse.geometry.camera import to_rays
@@ -27,11 +28,11 @@ def moved(scene, p):
 
 
 def epipolar_terms(pair, R, t, width):
-    return two_view.normal_equations(pair, R, t, [], np.full(len(pair), -1), 0.0, width)
+    return formulas.normal_equations(pair, R, t, [], np.full(len(pair), -1), 0.0, width)
 
 
 def plane_terms(pair, R, t, plane, relief, width, dependence=(1.0, 1.0)):
-    return two_view.normal_equations(pair, R, t, [plane], np.zeros(len(pair), int), relief, width,
+    return formulas.normal_equations(pair, R, t, [plane], np.zeros(len(pair), int), relief, width,
                                      dependence=dependence)
 
 
@@ -109,10 +110,10 @@ def test_errors_in_common_take_weight_off_across_and_along_the_line_by_themselve
 def test_an_offset_is_a_turn_of_all_vectors_as_one_more_unknown(noisy):
     """Its elimination leaves what knows the turn no better than the error that all share."""
     arguments = noisy.pair, noisy.R, noisy.t, CANYON, noisy.surface, 0.03, 3.0
-    (A, b, _), sigma = two_view.normal_equations(*arguments), 0.2 / np.mean([K[0, 0], K[1, 1]])
+    (A, b, _), sigma = formulas.normal_equations(*arguments), 0.2 / np.mean([K[0, 0], K[1, 1]])
     full = np.block([[A, A[:, :3]], [A[:3], A[:3, :3] + np.eye(3) / sigma**2]])
     left = np.s_[:18]
-    A_left, b_left, _ = two_view.normal_equations(*arguments, offset=0.2)
+    A_left, b_left, _ = formulas.normal_equations(*arguments, offset=0.2)
     gain = full[left, 18:] @ np.linalg.inv(full[18:, 18:])
     np.testing.assert_allclose(A_left, A - gain @ full[18:, left], atol=1e-9 * np.abs(A).max())
     np.testing.assert_allclose(b_left, b - gain @ b[:3], atol=1e-9 * np.abs(b).max())
@@ -125,8 +126,8 @@ def test_an_offset_is_a_turn_of_all_vectors_as_one_more_unknown(noisy):
 def test_a_bias_is_one_more_unknown_along_the_plane(noisy):
     pair, plane, bias = noisy.pair[noisy.surface == WALL], CANYON[WALL], 0.3
     arguments = pair, noisy.R, noisy.t, [plane], np.zeros(len(pair), int), 0.03, 3.0
-    A, b, _ = two_view.normal_equations(*arguments)
-    A_left, b_left, _ = two_view.normal_equations(*arguments, bias=bias)
+    A, b, _ = formulas.normal_equations(*arguments)
+    A_left, b_left, _ = formulas.normal_equations(*arguments, bias=bias)
     column = A[:, 6:] @ plane  # (1 + s) plane: the derivative by s is that along the plane
     own = plane @ column[6:] + 1 / bias**2
     np.testing.assert_allclose(A_left, A - np.outer(column, column) / own,
@@ -137,7 +138,7 @@ def test_a_bias_is_one_more_unknown_along_the_plane(noisy):
 
 def test_a_large_bias_hides_the_planes_scale(noisy):
     pair, plane = noisy.pair[noisy.surface == WALL], CANYON[WALL]
-    A, b, _ = two_view.normal_equations(pair, noisy.R, noisy.t, [plane],
+    A, b, _ = formulas.normal_equations(pair, noisy.R, noisy.t, [plane],
                                         np.zeros(len(pair), int), 0.03, 3.0, bias=1e6)
     np.testing.assert_allclose(A[:, 6:] @ plane, 0, atol=1e-6 * np.abs(A).max())
     assert abs(b[6:] @ plane) < 1e-6 * np.abs(b).max()
@@ -145,14 +146,14 @@ def test_a_large_bias_hides_the_planes_scale(noisy):
 
 def test_equations_of_a_pair_are_the_sum_of_its_parts(noisy):
     arguments, dependence = (noisy.R, noisy.t), (5.0, 7.0)
-    A, b, cost = two_view.normal_equations(noisy.pair, *arguments, CANYON, noisy.surface, 0.03,
+    A, b, cost = formulas.normal_equations(noisy.pair, *arguments, CANYON, noisy.surface, 0.03,
                                            3.0, bias=0.04, dependence=dependence)
     sky = epipolar_terms(noisy.pair[noisy.surface == SKY], *arguments, 3.0)
     A_sum, b_sum, cost_sum = np.zeros((18, 18)), np.zeros(18), sky[2]
     A_sum[:6, :6], b_sum[:6] = sky[0] / 5, sky[1] / 5
     for i, plane in enumerate(CANYON):
         on = noisy.pair[noisy.surface == i]
-        A_i, b_i, cost_i = two_view.normal_equations(
+        A_i, b_i, cost_i = formulas.normal_equations(
             on, *arguments, [plane], np.zeros(len(on), int), 0.03, 3.0, bias=0.04,
             dependence=dependence)
         pick = np.zeros((9, 18))
@@ -166,7 +167,7 @@ def test_equations_of_a_pair_are_the_sum_of_its_parts(noisy):
 
 def test_nothing_seen_weighs_nothing():
     empty = two_view.Pair(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0), K)
-    A, b, cost = two_view.normal_equations(empty, np.eye(3), np.ones(3), CANYON[:1],
+    A, b, cost = formulas.normal_equations(empty, np.eye(3), np.ones(3), CANYON[:1],
                                            np.zeros(0, int), 0.03, 3.0)
     assert not A.any()
     assert not b.any()
@@ -178,5 +179,5 @@ def test_a_wrong_vector_costs_at_most_the_square_of_the_width(exact):
     x_prev[exact.surface == WALL] += [300, 200]
     wrong = two_view.Pair(exact.pair.rays_cur, to_rays(K, x_prev), x_prev, exact.sigma, K)
     count = np.sum(exact.surface == WALL)
-    _, _, cost = two_view.normal_equations(wrong, exact.R, exact.t, CANYON, exact.surface, 0.0, 3)
+    _, _, cost = formulas.normal_equations(wrong, exact.R, exact.t, CANYON, exact.surface, 0.0, 3)
     assert cost == pytest.approx(9 * count, rel=1e-3)

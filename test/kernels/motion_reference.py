@@ -1,5 +1,6 @@
 """Motion and observations of blocks in numpy: the formulas of their kernels, as reference."""
 
+import formulas
 from kernels.two_view_reference import epipolar_jacobian
 from mv_slapse.geometry import epipolar, rotation
 from mv_slapse.motion.estimate import MIN_CORRESPONDENCES, MotionFit, SETTLED, WIDTHS
@@ -51,7 +52,7 @@ def turn(rays_cur, rays_prev, sigma, focal, R, steps=6):
         by_y = np.zeros((len(y), 2, 3))
         by_y[:, 0, 0], by_y[:, 1, 1] = focal
         by_y[:, :, 2] = -image * focal
-        J = rotation.cross(y[:, None], by_y / y[:, 2:, None])
+        J = formulas.cross(y[:, None], by_y / y[:, 2:, None])
         weight = robust_weight(off, width) / sigma**2
         A = np.einsum('nia,n,nib->ab', J, weight, J)
         R = rotation.exp(-np.linalg.solve(A, np.einsum('nia,n,ni->a', J, weight, error))) @ R
@@ -62,7 +63,7 @@ def turn(rays_cur, rays_prev, sigma, focal, R, steps=6):
 
 def _error(rays_cur, rays_prev, focal, R, t):
     """Epipolar error, its derivative (N, 5) by (w, two tangents of t), and these tangents."""
-    basis = rotation.tangent_basis(t)
+    basis = formulas.tangent_basis(t)
     error, J = epipolar_jacobian(rays_cur, rays_prev, focal, R, t)
     return error, np.c_[J[:, :3], J[:, 3:] @ basis], basis
 
@@ -129,7 +130,7 @@ def before_camera(rays_cur, rays_prev, focal, R, t) -> np.ndarray:
 def behind(pair, R, t):
     """Return the share of the votes of `orient` that put a block behind the camera."""
     vote = before_camera(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
-    length = np.linalg.norm(epipolar.parallax(pair.rays_cur, pair.rays_prev, pair.focal, R),
+    length = np.linalg.norm(formulas.parallax(pair.rays_cur, pair.rays_prev, pair.focal, R),
                             axis=1)
     weight = np.minimum(length / pair.sigma, 10.0)
     return float(weight[~vote].sum() / max(weight.sum(), 1e-9))
@@ -141,7 +142,7 @@ def observed(pair, fit, epsilon_f, epsilon_m, relief):
     error = epipolar_error(pair.rays_cur, pair.rays_prev, focal, R, t) / pair.sigma
     rho, per_pixel = inverse_depth(pair.rays_cur, pair.rays_prev, focal, R, t)
     blur, far = per_pixel * pair.sigma, pair.sigma / reach(pair.rays_cur, focal, t)
-    flow = epipolar.parallax(pair.rays_cur, pair.rays_prev, focal, R)
+    flow = formulas.parallax(pair.rays_cur, pair.rays_prev, focal, R)
     parallax = np.linalg.norm(flow, axis=1)
     inlier, near = np.abs(error) < epsilon_f, parallax >= epsilon_m
     return (error, rho, np.hypot(blur, relief * rho), blur, far, parallax, flow, inlier,

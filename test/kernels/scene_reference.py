@@ -1,9 +1,9 @@
 """The formulas of the scene's kernels in numpy."""
 
-from mv_slapse.geometry import epipolar, rotation, two_view
-from mv_slapse.geometry import plane as plane_geometry
+import formulas
+from formulas import linearised
+from mv_slapse.geometry import epipolar, rotation
 from mv_slapse.scene import gauge as scene_gauge
-from mv_slapse.scene.observations import linearised
 from mv_slapse.scene.state import (
     FOCAL,
     N_LASTING,
@@ -33,7 +33,7 @@ def _of_pair(state, pair, index, ids, settings, width):
     """Information matrix, vector and lasting columns of the correspondences at a state."""
     R, t = relative_motion(state)
     planes = np.array([plane_in_camera(state, id_) for id_ in ids]).reshape(-1, 3)
-    A, b, _ = two_view.normal_equations(
+    A, b, _ = formulas.normal_equations(
         pair, R, t, planes, index, settings.relief, width=width, bias=settings.depth_bias,
         offset=settings.vector_bias, dependence=(settings.dependence, settings.depth_dependence))
     G, focal = observation_jacobian(state, ids), pair.focal.mean()
@@ -102,7 +102,7 @@ def counts(x_cur, label, plane_id):
 
 def dependence(pair, R, t, width):
     """Variance of a mean of errors over what independent ones would have."""
-    error = epipolar.epipolar_error(pair.rays_cur, pair.rays_prev, pair.focal, R, t) / pair.sigma
+    error = formulas.epipolar_error(pair.rays_cur, pair.rays_prev, pair.focal, R, t) / pair.sigma
     bounded = 1 / (1 + np.square(error / width))
     weight = np.square(bounded)
     slope = weight - 4 * np.square(error / width) * bounded**3
@@ -117,7 +117,7 @@ def dependence(pair, R, t, width):
 
 def depth_slope(pair, R, t, max_spread, relief):
     """Derivative (6,) of the mean log of inverse depth by (w, t)."""
-    rho, J = epipolar.inverse_depth_jacobian(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
+    rho, J = formulas.inverse_depth_jacobian(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
     _, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
     sigma = per_pixel * pair.sigma
     sure = sigma < max_spread * rho
@@ -128,7 +128,7 @@ def depth_slope(pair, R, t, max_spread, relief):
 def plane_in_world(state, id_):
     """Normal, depth and covariance (4, 4) of a plane in {W}."""
     anchored = state.planes[id_]
-    normal, depth = plane_geometry.to_normal_depth(anchored.plane)
-    J = plane_geometry.normal_depth_jacobian(anchored.plane)
+    normal, depth = formulas.to_normal_depth(anchored.plane)
+    J = formulas.normal_depth_jacobian(anchored.plane)
     J[3] -= anchored.anchor @ J[:3]
     return normal, depth - normal @ anchored.anchor, J @ scene_gauge.covariance(state, id_) @ J.T

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
+from formulas import leaning
 from kernels import chaining_reference, evidence_reference, merging_reference
 from mv_slapse.codec import evidence, merging
 from mv_slapse.codec.chaining import chain, parallax
 from mv_slapse.codec.evidence import Evidence
 from mv_slapse.codec.motion_vectors import FrameVectors
-from mv_slapse.codec.prediction import leaning
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.camera import Camera

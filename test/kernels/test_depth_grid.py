@@ -1,8 +1,8 @@
 """Depths carried from pair to pair against numpy."""
 
 from canyon import motion, MOTIONS, views
+from mv_slapse.motion.observations import Depths
 from mv_slapse.surfaces import depth_grid
-from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.depth_grid import DepthGrid, POLICY
 import numpy as np
 import pytest

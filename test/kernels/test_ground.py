@@ -5,8 +5,8 @@ from dataclasses import replace
 from canyon import motion, views
 import ground_reference
 from mv_slapse.kernels.binding import compiled
+from mv_slapse.motion.observations import Depths
 from mv_slapse.surfaces import ground, height
-from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.ground import GroundPrior
 from mv_slapse.surfaces.height import HeightBelief, RoadBlocks
 from mv_slapse.surfaces.plane_search import Rules

@@ -1,5 +1,6 @@
 """Connected components and counts of macroblocks against SciPy's."""
 
+import formulas
 from mv_slapse.geometry import lattice
 from mv_slapse.kernels.binding import compiled
 import numpy as np
@@ -31,14 +32,14 @@ def test_components_are_kept_by_the_macroblocks_that_they_cover(rng, smallest):
     x = rng.uniform(0, [1200, 370], (150, 2))
     cell, component = np.floor((x + 0.5) / 16), components(x, 1)
     covered = [len(np.unique(cell[component == i], axis=0)) for i in component]
-    np.testing.assert_array_equal(lattice.largest_components(x, smallest),
+    np.testing.assert_array_equal(formulas.largest_components(x, smallest),
                                   np.array(covered) >= smallest)
     assert lattice.count_macroblocks(x) == len(np.unique(cell, axis=0))
 
 
 def test_what_lies_far_outside_the_picture_needs_no_large_grid():
     x = np.array([[0.0, 0], [1e9, -1e9], [1e300, -1e300]])
-    np.testing.assert_array_equal(lattice.components(x), [1, 0, 0])
+    np.testing.assert_array_equal(formulas.components(x), [1, 0, 0])
 
 
 def test_pixels_that_are_no_numbers_are_refused():

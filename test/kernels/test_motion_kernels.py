@@ -3,9 +3,10 @@
 from dataclasses import astuple, replace
 
 from canyon import CANYON, HEIGHT, motion, MOTIONS, views, WIDTH
+import formulas
 from kernels import baseline_reference, two_view_reference
 from kernels import motion_reference as reference
-from mv_slapse.geometry import epipolar, rotation, two_view
+from mv_slapse.geometry import epipolar, rotation
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion import baseline, estimate, observations
 from mv_slapse.motion.estimate import MotionFit
@@ -67,14 +68,14 @@ def test_the_columns_of_block_observations(scene, start):
                             reference.observed(scene.pair, fit, 3.0, 1.0, 0.05), strict=True):
         np.testing.assert_allclose(getattr(found, name), column, rtol=1e-8, atol=1e-9,
                                    err_msg=name)
-    assert observations.behind(scene.pair, *start) == pytest.approx(
+    assert formulas.behind(scene.pair, *start) == pytest.approx(
         reference.behind(scene.pair, *start), abs=1e-9)
 
 
 def test_errors_and_depths_of_rays_of_any_length(scene, start, rng):
     cur, prev, _, focal = arguments(scene)
     prev = prev * rng.uniform(0.5, 2, len(prev))[:, None]
-    np.testing.assert_allclose(epipolar.epipolar_error(cur, prev, focal, *start),
+    np.testing.assert_allclose(formulas.epipolar_error(cur, prev, focal, *start),
                                reference.epipolar_error(cur, prev, focal, *start), atol=1e-9)
     for found, expected in zip(epipolar.inverse_depth(cur, prev, focal, *start),
                                reference.inverse_depth(cur, prev, focal, *start), strict=True):
@@ -84,7 +85,7 @@ def test_errors_and_depths_of_rays_of_any_length(scene, start, rng):
 @pytest.mark.parametrize('more', [{}, {'bias': 0.04, 'dependence': (5.0, 7.0), 'offset': 0.2}])
 def test_normal_equations(scene, start, more):
     given = scene.pair, *start, CANYON, scene.surface, 0.03, 3.0
-    found = two_view.normal_equations(*given, **more)
+    found = formulas.normal_equations(*given, **more)
     expected = two_view_reference.normal_equations(*given, **more)
     for mine, numpys in zip(found, expected, strict=True):
         np.testing.assert_allclose(mine, numpys, rtol=1e-9, atol=1e-10 * np.abs(numpys).max())
@@ -127,7 +128,7 @@ def test_depths_between_blocks_and_their_ratio(scene, rng):
 @pytest.mark.parametrize('n', [19, 20, 61, 200])
 def test_the_robust_mean(rng, n):
     value, sigma = rng.normal(0.2, 0.3, n), rng.uniform(0.001, 0.2, n)
-    np.testing.assert_allclose(astuple(baseline.robust_mean(value, sigma, 0.1)),
+    np.testing.assert_allclose(astuple(formulas.robust_mean(value, sigma, 0.1)),
                                astuple(baseline_reference.robust_mean(value, sigma, 0.1)),
                                rtol=1e-9)
 
@@ -144,6 +145,6 @@ def test_wrong_arguments_are_refused(scene, start):
     with pytest.raises(ValueError, match='refine_motion: rays must end with 1'):
         estimate.refined_from(replace(pair, rays_prev=2 * pair.rays_prev), *start)
     with pytest.raises(ValueError, match='index names a plane that is not given'):
-        two_view.normal_equations(pair, *start, [], scene.surface, 0.03, 3.0)
+        formulas.normal_equations(pair, *start, [], scene.surface, 0.03, 3.0)
     with pytest.raises(ValueError, match='sigma has shape'):
         estimate.refined_from(replace(pair, sigma=pair.sigma[1:]), *start)

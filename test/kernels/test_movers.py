@@ -3,6 +3,7 @@
 import movers_reference as reference
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.kernels.binding import compiled
+from mv_slapse.motion.observations import Depths
 from mv_slapse.movers import moving_plane, outlines, reference_depth, regions, score
 from mv_slapse.movers.identity import History, Judged, LIFETIME, Memory
 from mv_slapse.movers.macroblocks import vote
@@ -11,7 +12,6 @@ from mv_slapse.movers.reference_depth import Past
 from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus, SegmentKind
 from mv_slapse.simulation.drawn import draw
 from mv_slapse.simulation.street import Street, StreetSettings
-from mv_slapse.surfaces.consensus import Depths
 import numpy as np
 import pytest
 

@@ -1,6 +1,7 @@
 """The scene's kernels against their formulas in numpy, on drawn states and pairs."""
 
 from canyon import CANYON, K, motion, views
+import formulas
 from kernels import scene_reference as reference
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
@@ -141,7 +142,7 @@ def test_an_outline_is_the_convex_hull_on_the_plane(rng):
     good = (reach > 0) & (reach < 30 * abs(above) / np.linalg.norm(plane))
     points = t + reach[good, None] * rays[good]
     np.testing.assert_allclose((points - anchor) @ plane, -1, atol=1e-9)
-    basis = rotation.tangent_basis(plane / np.linalg.norm(plane))
+    basis = formulas.tangent_basis(plane / np.linalg.norm(plane))
     hull = points[ConvexHull(points @ basis).vertices]
     assert len(found) == len(hull)
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(hull, axis=0), atol=1e-9)

@@ -1,7 +1,8 @@
 """Two views in numpy: the formulas of kernels two_view and joint, as reference."""
 
+import formulas
+from formulas import cross
 from mv_slapse.geometry import rotation
-from mv_slapse.geometry.rotation import cross
 import numpy as np
 
 
@@ -199,6 +200,6 @@ def _tangent_equations(pair, R, t, planes, index, relief, expected):
         b[at] += information @ off
         cost += float(off @ information @ off)
     lift = np.zeros((len(b), len(b) - 1))
-    lift[:3, :3], lift[3:6, 3:5] = np.eye(3), rotation.tangent_basis(t)
+    lift[:3, :3], lift[3:6, 3:5] = np.eye(3), formulas.tangent_basis(t)
     lift[6:, 5:] = np.eye(len(b) - 6)
     return lift.T @ A @ lift, lift.T @ b, cost, lift

@@ -1,6 +1,7 @@
 """Definition 1 on drawn canyons: direction, infinity, depth and its error."""
 
 from canyon import CANYON, K, motion, MOTIONS, views
+import formulas
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.rotation import exp
 from mv_slapse.geometry.two_view import Pair
@@ -36,8 +37,8 @@ def test_every_right_block_with_parallax_is_before_the_camera(true_motion):
     scene = views(*true_motion)
     near = scene.surface >= 0
     pair = scene.pair[near & (np.hypot(*(scene.x_true - scene.x_cur).T) > 1e-6)]
-    assert block_observations.behind(pair, scene.R, scene.t) == 0
-    assert block_observations.behind(pair, scene.R, -scene.t) == 1
+    assert formulas.behind(pair, scene.R, scene.t) == 0
+    assert formulas.behind(pair, scene.R, -scene.t) == 1
 
 
 def test_exact_stationary_blocks_keep_all_constraints(true_motion):
@@ -131,3 +132,13 @@ def test_a_slow_motion_that_passes_for_a_turn_is_told_by_what_a_turn_leaves(rng,
     assert 1.5 < np.median(evidence.parallax) < 3
     assert may_turn(evidence)
     assert block_observations.turns_only(off_a_turn(misjudged), 1.0)
+
+
+def test_a_mask_selects_all_columns():
+    scene = views(*motion('ahead'))
+    depths = block_observations.Depths(scene.pair.rays_cur, scene.rho,
+                                       np.full(len(scene.rho), 0.004), scene.x_cur)
+    part = depths[depths.x[:, 0] < 100]
+    assert len(part) == len(part.x) == np.sum(depths.x[:, 0] < 100)
+    assert part.x[:, 0].max() < 100
+    np.testing.assert_array_equal(part.rays[:, 0], depths.rays[depths.x[:, 0] < 100, 0])

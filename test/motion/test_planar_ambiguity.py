@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
+import formulas
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.geometry.rotation import angle, exp
-from mv_slapse.motion import observations as block_observations
 from mv_slapse.motion import planar_ambiguity
 from mv_slapse.motion.estimate import refined_from
 import numpy as np
@@ -40,7 +40,7 @@ def test_both_motions_of_a_plane_fit_its_epipolar_lines(rng):
     assert wrong.t_cur_from_prev @ T < 0.9
     for fit, least, most in ((right, 0.0, 0.02), (wrong, planar_ambiguity.MANY_BEHIND, 0.5)):
         assert least <= fit.behind <= most
-        assert fit.behind == block_observations.behind(pair, fit.R_cur_from_prev,
+        assert fit.behind == formulas.behind(pair, fit.R_cur_from_prev,
                                                        fit.t_cur_from_prev)
 
 

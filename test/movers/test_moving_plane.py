@@ -1,14 +1,9 @@
 """Estimate of a moving plane: exact scenes, noise, outliers, gauge, time to contact."""
 
 from drawn_movers import CAMERA_HEIGHT, Drive, DT, K, Mover
+from formulas import fit_moving_plane, time_to_contact
 from mv_slapse.geometry import moving_plane
-from mv_slapse.movers.moving_plane import (
-    fit_moving_plane,
-    fit_surfaces,
-    Regions,
-    time_to_contact,
-    View,
-)
+from mv_slapse.movers.moving_plane import fit_surfaces, Regions, View
 from mv_slapse.records import ScalePrior
 import numpy as np
 import pytest

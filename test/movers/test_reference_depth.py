@@ -6,12 +6,12 @@ from mv_slapse.config import ExtractionSettings
 from mv_slapse.extraction.extractor import PlaneExtractor
 from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.geometry.camera import to_rays
+from mv_slapse.motion.observations import Depths
 from mv_slapse.movers import reference_depth as past_module
 from mv_slapse.movers.reference_depth import departure, Past
 from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus, SegmentKind
 from mv_slapse.simulation.drawn import draw
 from mv_slapse.simulation.street import Street, StreetSettings
-from mv_slapse.surfaces.consensus import Depths
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import canyon as canyon_views
+import formulas
 from mv_slapse.config import SceneSettings
-from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
 from mv_slapse.records import (
     Label,
@@ -75,7 +75,7 @@ def test_with_noise_the_trajectory_stays_within_a_bound(rng):
     assert np.degrees(max(turn_errors(canyon, estimates))) < 0.3
     here, there = estimates[-1].t_world_from_cam, canyon.pose(40)[1]
     for plane in estimates[-1].planes[:3]:
-        normal, depth = plane_geometry.to_normal_depth(canyon.planes(0)[plane.id])
+        normal, depth = formulas.to_normal_depth(canyon.planes(0)[plane.id])
         assert canyon_views.angle_between(plane.normal, normal) < np.radians(1.0)
         assert plane.normal @ here + plane.depth == pytest.approx(normal @ there + depth, rel=0.05)
         assert_is_covariance(plane.covariance)

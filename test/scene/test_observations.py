@@ -1,8 +1,9 @@
 """What is observed beside correspondences: derivative of each innovation, and its value."""
 
+from formulas import linearised
 from mv_slapse.scene import observations as scene_observations
 from mv_slapse.scene import state as scene_state
-from mv_slapse.scene.observations import Kind, linearised, Observation
+from mv_slapse.scene.observations import Kind, Observation
 from mv_slapse.scene.state import AnchoredPlane
 from numeric import jacobian
 import numpy as np

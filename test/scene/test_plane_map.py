@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import formulas
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import to_rays
@@ -48,7 +49,7 @@ def world_plane(canyon, id_):
 def test_planes_are_those_of_the_world(canyon, observed):
     state, known = observed
     for plane in known.planes(state):
-        normal, depth = plane_geometry.to_normal_depth(world_plane(canyon, plane.id))
+        normal, depth = formulas.to_normal_depth(world_plane(canyon, plane.id))
         np.testing.assert_allclose(plane.normal, normal, atol=1e-9)
         assert plane.depth == pytest.approx(depth)
         np.testing.assert_allclose(plane.outline @ plane.normal + plane.depth, 0, atol=1e-5)
@@ -59,7 +60,7 @@ def test_covariance_is_that_of_the_numerical_derivative(observed):
     anchored = state.planes[WALL]
 
     def normal_and_depth(e):
-        normal, depth = plane_geometry.to_normal_depth(anchored.plane + e)
+        normal, depth = formulas.to_normal_depth(anchored.plane + e)
         return np.r_[normal, depth - normal @ anchored.anchor]
 
     J = jacobian(normal_and_depth, np.zeros(3))

@@ -3,10 +3,11 @@
 from dataclasses import replace
 
 from canyon import angle_between, CANYON, K, motion, turn_between, views
+import formulas
 from kernels.scene_reference import observation_jacobian
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
-from mv_slapse.geometry import rotation, two_view
+from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import to_pixels
 from mv_slapse.scene import observations as scene_observations
 from mv_slapse.scene import state as scene_state
@@ -64,7 +65,7 @@ def without_pair(scene, state, *observations):
 
 def test_a_linear_observation_is_that_of_the_filter(rng, scene, state):
     observation = scene_observations.camera_height(ROAD, 1.9, 0.3)
-    innovation, H = scene_observations.linearised(observation, state)
+    innovation, H = formulas.linearised(observation, state)
     twin = ekf.State()
     twin.add('all', np.zeros(state.size), state.P)
     ekf.update(twin, innovation, H, np.eye(1) * 0.3**2)
@@ -127,7 +128,7 @@ def test_the_update_is_the_maximum_of_the_posterior(rng, scene):
     def cost(e):
         moved = state.moved(e)
         planes = np.array([scene_state.plane_in_camera(moved, id_) for id_ in IDS])
-        return two_view.normal_equations(scene.pair, *scene_state.relative_motion(moved), planes,
+        return formulas.normal_equations(scene.pair, *scene_state.relative_motion(moved), planes,
                                          scene.surface, 0.0, 3.0)[2]
 
     # Where prior and data balance: P^-1 e + gradient / 2 = 0, for a P that is singular.
@@ -145,7 +146,7 @@ def test_covariance_is_the_inverse_of_prior_and_data_information(rng, scene):
     P = state.P.copy()
     found = updated(scene, state)
     planes = np.array([scene_state.plane_in_camera(found, id_) for id_ in IDS])
-    A, _, _ = two_view.normal_equations(scene.pair, *scene_state.relative_motion(found), planes,
+    A, _, _ = formulas.normal_equations(scene.pair, *scene_state.relative_motion(found), planes,
                                         scene.surface, 0.0, 3.0)
     G = observation_jacobian(found, IDS)
     free = np.r_[state.at('current'), [i for id_ in IDS for i in np.r_[state.at(id_)]]]

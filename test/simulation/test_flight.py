@@ -1,5 +1,6 @@
 import cv2
-from mv_slapse.geometry.camera import distort, to_pixels
+from formulas import distort
+from mv_slapse.geometry.camera import to_pixels
 from mv_slapse.simulation.flight import FISHEYE, Flight, FlightSettings, MIDDLE, ROOM, WIDE
 import numpy as np
 import pytest

@@ -5,8 +5,8 @@ from dataclasses import replace
 from canyon import CANYON, HEIGHT, motion, MOTIONS, views, WIDTH
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import two_view
+from mv_slapse.motion.observations import Depths
 from mv_slapse.surfaces import depth_grid
-from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.depth_grid import DepthGrid
 import numpy as np
 import pytest

@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 from canyon import CANYON, motion, views
+import formulas
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.motion.observations import BlockObservations
+from mv_slapse.motion.observations import BlockObservations, Depths
 from mv_slapse.surfaces import ground, height
-from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride, Vectors
 from mv_slapse.surfaces.plane_search import Rules
 from numeric import jacobian
@@ -220,7 +220,7 @@ def test_a_known_ground_is_seen_in_a_few_lone_blocks(rng):
     free, prior = np.zeros(len(depths), bool), GroundPrior(UP, 0.02, 1 / 1.6, 0.05)
     free[few] = True
     fit = find(depths, free, prior, rng, free)
-    normal, depth = plane_geometry.to_normal_depth(fit.plane)
+    normal, depth = formulas.to_normal_depth(fit.plane)
     assert depth == pytest.approx(1.6, rel=0.03)
     assert find(depths, free, FRESH, rng, free) is None
 
@@ -284,7 +284,7 @@ def test_the_road_is_found_exactly_without_noise(rng):
 def test_forty_percent_wrong_vectors_cost_little(rng):
     depths, surface, wrong = road_depths(rng, outliers=0.4)
     fit = find(depths, np.ones(len(depths), bool), FRESH, rng)
-    normal, depth = plane_geometry.to_normal_depth(fit.plane)
+    normal, depth = formulas.to_normal_depth(fit.plane)
     assert depth == pytest.approx(1.6, rel=0.02)
     assert normal @ UP > np.cos(np.radians(1))
     right = (surface == 0) & ~wrong

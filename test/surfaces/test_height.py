@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
+from mv_slapse.motion.observations import Depths
 from mv_slapse.surfaces import height
-from mv_slapse.surfaces.consensus import Depths
 from mv_slapse.surfaces.height import GRID, HeightBelief, RoadBlocks
 import numpy as np
 import pytest

@@ -1,7 +1,8 @@
 """Joint re-estimation of drawn canyons: exact, with noise, and its covariance."""
 
 from canyon import angle_between, CANYON, motion, MOTIONS, turn_between, views
-from mv_slapse.geometry import rotation, two_view
+import formulas
+from mv_slapse.geometry import rotation
 from mv_slapse.surfaces import joint
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ def test_the_cost_never_grows(rng):
     (R, t), planes = start(scene, rng, 0.01)
 
     def cost(*values):
-        return two_view.normal_equations(scene.pair, *values, scene.surface, 0.0, 3.0)[2]
+        return formulas.normal_equations(scene.pair, *values, scene.surface, 0.0, 3.0)[2]
 
     costs = [cost(R, t, planes)]
     for _ in range(6):
@@ -63,7 +64,7 @@ def test_errors_have_the_size_that_the_covariance_says():
         R, t, planes, P = joint.reestimate(scene.pair, (scene.R, scene.t), CANYON,
                                  scene.surface, 0.0)
         lift = np.zeros((18, 17))
-        lift[:3, :3], lift[3:6, 3:5] = np.eye(3), rotation.tangent_basis(t)
+        lift[:3, :3], lift[3:6, 3:5] = np.eye(3), formulas.tangent_basis(t)
         lift[6:, 5:] = np.eye(12)
         error = np.r_[rotation.log(scene.R @ R.T), scene.t - t, (CANYON - planes).ravel()]
         distances.append(error @ lift @ np.linalg.solve(lift.T @ P @ lift, lift.T @ error))

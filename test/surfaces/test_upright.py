@@ -1,7 +1,7 @@
 """Blocks of bodies against blocks of a road: a drawn car, a drawn road, wrong vectors."""
 
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.surfaces.consensus import Depths
+from mv_slapse.motion.observations import Depths
 from mv_slapse.surfaces.ground import POLICY
 import numpy as np
 import pytest

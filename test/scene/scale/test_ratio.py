@@ -4,12 +4,12 @@ from copy import deepcopy
 from dataclasses import replace
 
 from canyon import K, motion, views
+from formulas import linearised
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import epipolar, rotation, two_view
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import CameraMotion, MotionStatus
 from mv_slapse.scene import state as scene_state
-from mv_slapse.scene.observations import linearised
 from mv_slapse.scene.scale import ratio as scene_ratio
 from mv_slapse.scene.state import Pose
 from numeric import jacobian
