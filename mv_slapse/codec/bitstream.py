@@ -18,73 +18,37 @@ LAST_PPS = 255  # greatest pic_parameter_set_id, H.264 7.4.2.2
 
 @dataclass(frozen=True)
 class SequenceParameters:
-    """H.264 sequence parameter set, as far as it is needed.
+    """H.264 sequence parameter set, as far as it is needed."""
 
-    Attributes
-    ----------
-    width, height : int
-        Coded size before cropping [px].
-    max_num_ref_frames : int
-        Most pictures that a vector may point to.
-    interlaced : bool
-        Whether fields may be coded (frame_mbs_only_flag is 0).
-    log2_max_frame_num : int
-        Bits of frame_num in slice headers.
-    gaps_allowed : bool
-        Whether frame_num may have gaps without loss.
-    separate_planes : bool
-        Whether slice headers carry a colour plane.
-    order_type, order_bits : int
-        How slice headers carry the picture order: pic_order_cnt_type and the bits of its lsb.
-    """
-
-    width: int
-    height: int
-    max_num_ref_frames: int
-    interlaced: bool
-    log2_max_frame_num: int
-    gaps_allowed: bool
-    separate_planes: bool
-    order_type: int
-    order_bits: int
+    width: int  # coded, before cropping [px]
+    height: int  # the same [px]
+    max_num_ref_frames: int  # most pictures that a vector may point to
+    interlaced: bool  # whether fields may be coded (frame_mbs_only_flag is 0)
+    log2_max_frame_num: int  # bits of frame_num in slice headers
+    gaps_allowed: bool  # whether frame_num may have gaps without loss
+    separate_planes: bool  # whether slice headers carry a colour plane
+    order_type: int  # pic_order_cnt_type, how slice headers carry the picture order,
+    order_bits: int  # and the bits of its lsb
 
 
 @dataclass(frozen=True)
 class PictureParameters:
-    """H.264 picture parameter set, as far as it is needed.
+    """H.264 picture parameter set, as far as it is needed."""
 
-    Attributes
-    ----------
-    has_bottom_order, has_redundant : bool
-        Whether slice headers carry delta_pic_order_cnt_bottom and redundant_pic_cnt.
-    references : tuple of int
-        Default number of pictures in list 0 and list 1.
-    """
-
-    has_bottom_order: bool
-    has_redundant: bool
-    references: tuple[int, int]
+    has_bottom_order: bool  # whether slice headers carry delta_pic_order_cnt_bottom,
+    has_redundant: bool  # and redundant_pic_cnt
+    references: tuple[int, int]  # default number of pictures in list 0 and list 1
 
 
 @dataclass(frozen=True)
 class SliceHeader:
-    """First slice of a picture.
-
-    Attributes
-    ----------
-    is_idr, is_reference : bool
-    frame_num : int
-    references : int
-        Most pictures in a list of references: 1 means that no vector is ambiguous.
-    order : int
-        pic_order_cnt_lsb; 0 where the stream has none.
-    """
+    """First slice of a picture."""
 
     is_idr: bool
     is_reference: bool
     frame_num: int
-    references: int
-    order: int = 0
+    references: int  # most pictures in a list of references: 1 means that no vector is ambiguous
+    order: int = 0  # pic_order_cnt_lsb; 0 where the stream has none
 
 
 class BitReader:

@@ -13,24 +13,15 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Evidence:
-    """Vectors from key frame k to key frame k-1, each at its own place in k.
+    """Vectors from key frame k to key frame k-1, each at its own place in k."""
 
-    Attributes
-    ----------
-    x_cur : (M, 2) float32
-        Where the evidence lies in key frame k [px]; no block centre for indirect evidence.
-    vector : (M, 2) float32
-        From there to the match in key frame k-1 [px].
-    variance : (M,) float32
-        In units of one vector's variance: 1 for direct, 2 for indirect evidence.
-    block : (M, 2) uint8
-        Block size [px].
-    """
-
+    # (M, 2) float32: where the evidence lies in key frame k [px]; no block centre for indirect
+    # evidence
     x_cur: np.ndarray
-    vector: np.ndarray
+    vector: np.ndarray  # (M, 2) float32: from there to the match in key frame k-1 [px]
+    # (M,) float32: in units of one vector's variance: 1 for direct, 2 for indirect evidence
     variance: np.ndarray
-    block: np.ndarray
+    block: np.ndarray  # (M, 2) uint8: block size [px]
 
     def __len__(self) -> int:
         """Return the number of vectors."""

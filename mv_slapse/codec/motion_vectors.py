@@ -11,44 +11,26 @@ PAST, FUTURE = -1, 1
 
 @dataclass(frozen=True)
 class FrameVectors:
-    """Motion vectors of one picture.
+    """Motion vectors of one picture."""
 
-    Attributes
-    ----------
-    stamp : int
-        Presentation time [ns].
-    frame_type : FrameType
-    width, height : int
-        Picture size [px].
-    x : (N, 2) float32
-        Block centres, pixels centred at integers [px].
-    displacement : (N, 2) float32
-        From the block to its match in the reference picture [px].
-    direction : (N,) int8
-        PAST or FUTURE: the list of references, never which of them.
-    block : (N, 2) uint8
-        Block width and height [px].
-    references : int
-        Most pictures that a direction may mean; 1: every vector spans one key frame interval.
-    is_predicted : bool
-        Whether vectors are coded against the median of those around, as in H.264.
-    damage : str
-        Why the vectors cannot be joined to the pictures before, else empty.
-    luma : (height, width) uint8 or None
-        Grey picture, kept only where a dead segment may have to be bridged.
-    """
-
-    stamp: int
+    stamp: int  # presentation time [ns]
     frame_type: FrameType
-    width: int
-    height: int
+    width: int  # of the picture [px]
+    height: int  # the same [px]
+    # (N, 2) float32: block centres, pixels centred at integers [px]
     x: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    # (N, 2) float32: from the block to its match in the reference picture [px]
     displacement: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    # (N,) int8: PAST or FUTURE: the list of references, never which of them
     direction: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
+    # (N, 2) uint8: block width and height [px]
     block: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.uint8))
+    # most pictures that a direction may mean; 1: every vector spans one key frame interval
     references: int = 1
+    # whether vectors are coded against the median of those around, as in H.264
     is_predicted: bool = False
-    damage: str = ''
+    damage: str = ''  # why the vectors cannot be joined to the pictures before, else empty
+    # (height, width) uint8: grey picture, kept only where a dead segment may have to be bridged
     luma: np.ndarray | None = None
 
     def __len__(self) -> int:

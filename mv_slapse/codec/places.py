@@ -31,32 +31,19 @@ LOST = 'pictures were lost'
 
 @dataclass(frozen=True)
 class Place:
-    """Where a picture is shown.
+    """Where a picture is shown."""
 
-    Attributes
-    ----------
-    sequence : int
-        Counts are compared within one only; the next one that is shown has the next number.
-    count : int or None
-        Grows by the same step from picture to picture; None where nothing in the stream counts.
-    index : int or None
-        The same across sequences, where the stream's time codes are to be trusted.
-    time : int or None
-        The picture's time by the stream's own clock, in ticks of it.
-    turn : int
-        Where the count turns over to zero; 0 where it is not known.
-    reason : str
-        Why pictures before this one, in the order of decoding, are missing; else empty.
-    references : int or None
-        Most pictures in a list of references, as the picture's own header tells it.
-    """
-
+    # counts are compared within one only; the next one that is shown has the next number
     sequence: int = 0
+    # grows by the same step from picture to picture; None where nothing in the stream counts
     count: int | None = None
+    # the same across sequences, where the stream's time codes are to be trusted
     index: int | None = None
-    time: int | None = None
-    turn: int = 0
+    time: int | None = None  # the picture's time by the stream's own clock, in ticks of it
+    turn: int = 0  # where the count turns over to zero; 0 where it is not known
+    # why pictures before this one, in the order of decoding, are missing; else empty
     reason: str = ''
+    # most pictures in a list of references, as the picture's own header tells it
     references: int | None = None
 
 

@@ -18,48 +18,22 @@ USABLE, WITH_CARE, UNUSABLE = 'usable', 'usable with care', 'unusable'
 
 @dataclass(frozen=True)
 class Probe:
-    """Findings about a video.
+    """Findings about a video."""
 
-    Attributes
-    ----------
-    codec : str
-        FFmpeg's name of the decoder.
-    width, height, fps : int, int, float
-        Picture size [px] and rate [1/s], 0 where the container does not tell it.
-    n_frames : int
-        Pictures read.
-    references : int
-        Most pictures that a direction may mean, as the slices use them.
-    b_frames : int
-        Most B frames between two key frames.
-    gop : int
-        Longest distance of two I frames; the pictures read where there is but one.
-    vectors_per_frame : float
-        Mean over the P and B frames that have any.
-    share_with_vectors : float
-        Share of P and B frames that have any.
-    interlaced : bool
-        Whether fields may be coded.
-    verdict : str
-        USABLE, WITH_CARE or UNUSABLE.
-    reasons, advice : tuple of str
-        Why not simply usable, and what to do about it.
-    """
-
-    codec: str
-    width: int
-    height: int
-    fps: float
-    n_frames: int
-    references: int
-    b_frames: int
-    gop: int
-    vectors_per_frame: float
-    share_with_vectors: float
-    interlaced: bool
-    verdict: str
-    reasons: tuple[str, ...]
-    advice: tuple[str, ...]
+    codec: str  # FFmpeg's name of the decoder
+    width: int  # of the pictures [px]
+    height: int  # the same [px]
+    fps: float  # pictures a second; 0 where the container does not tell it
+    n_frames: int  # pictures read
+    references: int  # most pictures that a direction may mean, as the slices use them
+    b_frames: int  # most B frames between two key frames
+    gop: int  # longest distance of two I frames; the pictures read where there is but one
+    vectors_per_frame: float  # mean over the P and B frames that have any
+    share_with_vectors: float  # share of P and B frames that have any
+    interlaced: bool  # whether fields may be coded
+    verdict: str  # USABLE, WITH_CARE or UNUSABLE
+    reasons: tuple[str, ...]  # why not simply usable
+    advice: tuple[str, ...]  # what to do about it
 
 
 def probe(source: Source, max_frames: int = 300) -> Probe:

@@ -11,27 +11,14 @@ LONGEST = 1_000_000_000  # ns between key frames; no encoder searches so far
 
 @dataclass(frozen=True)
 class Segment:
-    """Two consecutive key frames (I or P) and the B frames between them.
+    """Two consecutive key frames (I or P) and the B frames between them."""
 
-    Attributes
-    ----------
-    previous, current : FrameVectors
-        Key frames k-1 and k.
-    between : tuple of FrameVectors
-        The B frames, in order of presentation.
-    kind : SegmentKind
-        IP, PP, PI, or BROKEN where nothing joins the two.
-    reason : str
-        Why it is BROKEN, else empty.
-    is_torn : bool
-        Whether damage or a loss broke it: nothing, the pictures neither, can join it then.
-    """
-
-    previous: FrameVectors
-    current: FrameVectors
-    between: tuple[FrameVectors, ...]
-    kind: SegmentKind
-    reason: str = ''
+    previous: FrameVectors  # key frame k-1
+    current: FrameVectors  # key frame k
+    between: tuple[FrameVectors, ...]  # the B frames, in order of presentation
+    kind: SegmentKind  # IP, PP, PI, or BROKEN where nothing joins the two
+    reason: str = ''  # why it is BROKEN, else empty
+    # whether damage or a loss broke it: nothing, the pictures neither, can join it then
     is_torn: bool = False
 
 

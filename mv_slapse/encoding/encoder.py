@@ -32,24 +32,14 @@ ENCODERS = {'mpeg2video': 'mpeg2video', 'h264': 'libx264'}
 
 @dataclass(frozen=True)
 class Encoding:
-    """How pictures are coded.
+    """How pictures are coded."""
 
-    Attributes
-    ----------
-    codec : str
-        mpeg2video or h264.
-    b_frames : int
-        B frames between two key frames; always so many.
-    gop : int
-        An I frame every so many pictures. The B frames before it refer to it and to the past (an
-        open group), for without them no vector joins an I frame to the past.
-    options : dict
-        FFmpeg options of the encoder that replace those of PRESETS.
-    """
-
-    codec: str = 'mpeg2video'
-    b_frames: int = 3
+    codec: str = 'mpeg2video'  # mpeg2video or h264
+    b_frames: int = 3  # B frames between two key frames; always so many
+    # an I frame every so many pictures. The B frames before it refer to it and to the past (an
+    # open group), for without them no vector joins an I frame to the past
     gop: int = 12
+    # FFmpeg options of the encoder that replace those of PRESETS
     options: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self):

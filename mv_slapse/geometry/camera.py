@@ -11,24 +11,13 @@ LENS_MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
 
 @dataclass(frozen=True)
 class Camera:
-    """A calibrated camera as in ``sensor_msgs/CameraInfo``.
+    """A calibrated camera as in ``sensor_msgs/CameraInfo``."""
 
-    Attributes
-    ----------
-    width, height : int
-        Picture size [px].
-    K : (3, 3) float64
-        Intrinsics [px].
-    lens : str
-        Distortion model, one of LENS_MODELS.
-    distortion : (D,) float64
-        Its coefficients, as ROS orders them.
-    """
-
-    width: int
-    height: int
-    K: np.ndarray
-    lens: str = 'plumb_bob'
+    width: int  # of the picture [px]
+    height: int  # the same [px]
+    K: np.ndarray  # (3, 3): intrinsics [px]
+    lens: str = 'plumb_bob'  # distortion model, one of LENS_MODELS
+    # (D,): its coefficients, as ROS orders them
     distortion: np.ndarray = field(default_factory=lambda: np.zeros(5))
 
     def __post_init__(self):

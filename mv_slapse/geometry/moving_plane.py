@@ -23,34 +23,20 @@ COVERED = 0.1
 
 
 class Contact(NamedTuple):
-    """Where a region ends at its bottom.
+    """Where a region ends at its bottom."""
 
-    Attributes
-    ----------
-    point : (2,) float64
-        Middle of its lower edge, in the mean of where that may lie in the lowest row [px].
-    sigma : float
-        Standard deviation of the row [px]: an edge inside a block may lie anywhere in it.
-    """
-
+    # (2,): middle of its lower edge, in the mean of where that may lie in the lowest row [px]
     point: np.ndarray
+    # standard deviation of the row [px]: an edge inside a block may lie anywhere in it
     sigma: float
 
 
 class ContactDepth(NamedTuple):
-    """Log depth of a region's centre when its lower edge stands on the ground.
+    """Log depth of a region's centre when its lower edge stands on the ground."""
 
-    Attributes
-    ----------
-    value, variance : float, float
-        Of ln Z, for given slopes.
-    by_slope : (2,) float64
-        Derivative of ``value``.
-    """
-
-    value: float
-    variance: float
-    by_slope: np.ndarray
+    value: float  # of ln Z, for given slopes
+    variance: float  # of that value
+    by_slope: np.ndarray  # (2,): derivative of ``value``
 
 
 def weights(slope: np.ndarray, centre: np.ndarray) -> np.ndarray:

@@ -19,23 +19,15 @@ R_BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0
 
 @dataclass(frozen=True)
 class RosFrames:
-    """Names of the frames, and the camera on the base.
+    """Names of the frames, and the camera on the base."""
 
-    Attributes
-    ----------
-    odom, base, camera : str
-        Frame ids; ``camera`` is the optical frame of the pictures.
-    R_base_from_cam, t_base_from_cam : (3, 3), (3,) float64
-        X_base = R X_cam + t [m or map unit].
-    R_odom_from_start, t_odom_from_start : (3, 3), (3,) float64
-        Pose in odom of the base at the first key frame, usually none.
-    """
-
-    odom: str = 'odom'
+    odom: str = 'odom'  # frame ids
     base: str = 'camera_link'
-    camera: str = 'camera_optical'
+    camera: str = 'camera_optical'  # the optical frame of the pictures
+    # X_base = R X_cam + t, (3, 3), (3,) [m or map unit]
     R_base_from_cam: np.ndarray = field(default_factory=R_BODY_FROM_OPTICAL.copy)
     t_base_from_cam: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    # pose in odom of the base at the first key frame, usually none, (3, 3), (3,)
     R_odom_from_start: np.ndarray = field(default_factory=lambda: np.eye(3))
     t_odom_from_start: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
@@ -59,17 +51,11 @@ class RosFrames:
 
 @dataclass(frozen=True)
 class Pose:
-    """A rigid motion X_to = R X_from + t.
+    """A rigid motion X_to = R X_from + t."""
 
-    Attributes
-    ----------
-    R, t : (3, 3), (3,) float64
-    covariance : (6, 6) float64
-        Of (t, w), the rotation as exp(w) R: about the axes of the frame the pose is given in.
-    """
-
-    R: np.ndarray
-    t: np.ndarray
+    R: np.ndarray  # (3, 3)
+    t: np.ndarray  # (3,)
+    # (6, 6): of (t, w), the rotation as exp(w) R: about the axes of the frame the pose is given in
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
 
 

@@ -7,24 +7,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Pair:
-    """Undistorted correspondences with what is computed of them once.
+    """Undistorted correspondences with what is computed of them once."""
 
-    Attributes
-    ----------
-    rays_cur, rays_prev : (N, 3) arrays
-    x_prev : (N, 2) array
-        [px].
-    sigma : (N,) array
-        Standard deviation of a coordinate of x_prev [px].
-    K : (3, 3) array
-        [px].
-    """
-
-    rays_cur: np.ndarray
-    rays_prev: np.ndarray
-    x_prev: np.ndarray
-    sigma: np.ndarray
-    K: np.ndarray
+    rays_cur: np.ndarray  # (N, 3)
+    rays_prev: np.ndarray  # (N, 3)
+    x_prev: np.ndarray  # (N, 2) [px]
+    sigma: np.ndarray  # (N,): standard deviation of a coordinate of x_prev [px]
+    K: np.ndarray  # (3, 3) [px]
 
     @property
     def focal(self) -> np.ndarray:

@@ -24,30 +24,18 @@ POLICY = np.array([SAME_SURFACE, MAX_SPREAD, CHANGE, MIN_NEIGHBOURS, MIN_BLOCKS]
 
 @dataclass(frozen=True)
 class DepthMap:
-    """Inverse depths of a key frame by macroblock.
+    """Inverse depths of a key frame by macroblock."""
 
-    Attributes
-    ----------
-    grid : (rows, columns) int array
-        Index of the block in each macroblock, -1 for none; a margin of one surrounds it.
-    x : (N, 2) array
-        Block centres [px].
-    rho : (N,) array
-        Inverse depths [1/baseline].
-    noise : (N,) array
-        Standard deviation that a point at infinity would have there [1/baseline].
-    approach : float
-        t_z of the pair [baseline]: it makes rho's standard deviation noise (1 - rho t_z)^2.
-    relief : float
-        Depth of a surface about its plane, as a share of depth.
-    """
-
+    # (rows, columns) int: index of the block in each macroblock, -1 for none; a margin of one
+    # surrounds it
     grid: np.ndarray
-    x: np.ndarray
-    rho: np.ndarray
+    x: np.ndarray  # (N, 2): block centres [px]
+    rho: np.ndarray  # (N,): inverse depths [1/baseline]
+    # (N,): standard deviation that a point at infinity would have there [1/baseline]
     noise: np.ndarray
+    # t_z of the pair [baseline]: it makes rho's standard deviation noise (1 - rho t_z)^2
     approach: float
-    relief: float
+    relief: float  # depth of a surface about its plane, as a share of depth
 
     def at(self, x: np.ndarray):
         """Interpolate at pixels (N, 2): rho (N,), sigma (N,), NaN where it cannot be told.

@@ -16,42 +16,23 @@ class BlockObservations:
     """The blocks of a pair under one motion, computed once and handed from step to step.
 
     Constraints of Definition 1 of [MVO], as values and masks.
-
-    Attributes
-    ----------
-    pair : Pair
-        Rays, matches and their standard deviations.
-    epipolar_error : (N,) array
-        In standard deviations.
-    rho, sigma_rho, blur : (N,) arrays
-        Inverse depth, its standard deviation, and the part of it that vectors make [1/baseline].
-    far_sigma : (N,) array
-        Standard deviation that rho would have at infinity, as seen from camera k-1 [1/baseline].
-    parallax : (N,) array
-        ||x'_prev - x_cur||, [px].
-    flow : (N, 2) array
-        x_cur - x'_prev, which is left of the vector without the camera's rotation, (6) [px].
-    epipolar_inlier : (N,) bool array
-        (3).
-    at_infinity : (N,) bool array
-        (7): too little parallax for a depth.
-    backward : (N,) bool array
-        The direction constraint fails: the block moves against the stationary flow.
-    has_depth : (N,) bool array
-        None of this: the parallax of what stands still before the camera.
     """
 
-    pair: two_view.Pair
-    epipolar_error: np.ndarray
-    rho: np.ndarray
-    sigma_rho: np.ndarray
-    blur: np.ndarray
+    pair: two_view.Pair  # rays, matches and their standard deviations
+    epipolar_error: np.ndarray  # (N,): in standard deviations
+    rho: np.ndarray  # (N,): inverse depth [1/baseline]
+    sigma_rho: np.ndarray  # (N,): its standard deviation [1/baseline]
+    blur: np.ndarray  # (N,): the part of it that vectors make [1/baseline]
+    # (N,): what sigma_rho would be at infinity, as seen from camera k-1 [1/baseline]
     far_sigma: np.ndarray
-    parallax: np.ndarray
+    parallax: np.ndarray  # (N,): ||x'_prev - x_cur||, [px]
+    # (N, 2): x_cur - x'_prev, which is left of the vector without the camera's rotation, (6) [px]
     flow: np.ndarray
-    epipolar_inlier: np.ndarray
-    at_infinity: np.ndarray
+    epipolar_inlier: np.ndarray  # (N,) bool: (3)
+    at_infinity: np.ndarray  # (N,) bool: (7), too little parallax for a depth
+    # (N,) bool: the direction constraint fails: the block moves against the stationary flow
     backward: np.ndarray
+    # (N,) bool: none of this: the parallax of what stands still before the camera
     has_depth: np.ndarray
 
     def __getitem__(self, rows) -> 'BlockObservations':

@@ -35,27 +35,15 @@ RULES = Rules()
 
 
 class Field(NamedTuple):
-    """What single blocks (N,) tell.
+    """What single blocks (N,) tell."""
 
-    Attributes
-    ----------
-    x, block : (N, 2), (N, 2) float64
-        Centres and sizes [px].
-    rho, sigma, under : (N,) float64
-        Apparent inverse depths, what noise makes of them, and the ground's there [1/baseline].
-    below : (N,) bool
-        Whether each looks farther than the ground by itself.
-    fits : (N,) bool
-        Whether it moves along its epipolar line.
-    """
-
-    x: np.ndarray
-    block: np.ndarray
-    rho: np.ndarray
-    sigma: np.ndarray
-    under: np.ndarray
-    below: np.ndarray
-    fits: np.ndarray
+    x: np.ndarray  # (N, 2): centres [px]
+    block: np.ndarray  # (N, 2): sizes [px]
+    rho: np.ndarray  # (N,): apparent inverse depths [1/baseline]
+    sigma: np.ndarray  # (N,): what noise makes of them [1/baseline]
+    under: np.ndarray  # (N,): the ground's there [1/baseline]
+    below: np.ndarray  # (N,) bool: whether each looks farther than the ground by itself
+    fits: np.ndarray  # (N,) bool: whether it moves along its epipolar line
 
 
 class Least(NamedTuple):

@@ -18,19 +18,11 @@ SECOND = 1e9  # [ns]
 
 
 class History(NamedTuple):
-    """What the blocks (N,) of a pair were in the pair before.
+    """What the blocks (N,) of a pair were in the pair before."""
 
-    Attributes
-    ----------
-    score, left : (N,), (N,) float64
-        As of Memory; nan: unknown.
-    id : (N,) int64
-        As of Memory; -1: none.
-    """
-
-    score: np.ndarray
-    left: np.ndarray
-    id: np.ndarray
+    score: np.ndarray  # (N,): as of Memory; nan: unknown
+    left: np.ndarray  # (N,): the same
+    id: np.ndarray  # (N,) int64: as of Memory; -1: none
 
 
 class Judged(NamedTuple):
@@ -50,35 +42,18 @@ def _none(*columns: int, dtype: type = float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Memory:
-    """Blocks of the key frame at ``stamp``; later ones hide earlier ones.
+    """Blocks of the key frame at ``stamp``; later ones hide earlier ones."""
 
-    Attributes
-    ----------
-    stamp : int or None
-        [ns].
-    x, block : (N, 2), (N, 2) float64
-        Centres and sizes [px].
-    velocity : (N, 2) float64
-        In the picture [px/s].
-    score, left : (N,), (N,) float64
-        That it moves, and that it has left where it stood, summed over key frame pairs.
-    id : (N,) int64
-        Moving region that each belongs to, -1 for none.
-    seen : (N,) int64
-        When each had a vector [ns].
-    next_id : int
-        For a region that is new.
-    """
-
-    stamp: int | None = None
-    x: np.ndarray = _none(2)
-    block: np.ndarray = _none(2)
-    velocity: np.ndarray = _none(2)
-    score: np.ndarray = _none()
-    left: np.ndarray = _none()
+    stamp: int | None = None  # [ns]
+    x: np.ndarray = _none(2)  # (N, 2): centres [px]
+    block: np.ndarray = _none(2)  # (N, 2): sizes [px]
+    velocity: np.ndarray = _none(2)  # (N, 2): in the picture [px/s]
+    score: np.ndarray = _none()  # (N,): that it moves, summed over key frame pairs,
+    left: np.ndarray = _none()  # (N,): and that it has left where it stood
+    # (N,) int64: moving region that each belongs to, -1 for none
     id: np.ndarray = _none(dtype=int)
-    seen: np.ndarray = _none(dtype=int)
-    next_id: int = FIRST_ID
+    seen: np.ndarray = _none(dtype=int)  # (N,) int64: when each had a vector [ns]
+    next_id: int = FIRST_ID  # for a region that is new
 
     def inherited(self, extraction: Extraction) -> History:
         """Return what the blocks of a pair were before, by where their vectors point.

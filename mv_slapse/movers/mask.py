@@ -39,15 +39,10 @@ class _Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class _Silhouette:
-    """Macroblocks of one mover.
+    """Macroblocks of one mover."""
 
-    Attributes
-    ----------
-    seen : (M,) int64
-        When each was last inside the outline of the mover's blocks [ns]; NEVER: it is not its.
-    motion : _Motion
-    """
-
+    # (M,) int64: when each was last inside the outline of the mover's blocks [ns]; NEVER: it is
+    # not its
     seen: np.ndarray
     motion: _Motion
 

@@ -33,38 +33,19 @@ class Rules(NamedTuple):
 
 @dataclass(frozen=True)
 class MovingPlane:
-    """A moving plane of one key frame pair; lengths in the unit of ``t_cur_from_prev``.
+    """A moving plane of one key frame pair; lengths in the unit of ``t_cur_from_prev``."""
 
-    Attributes
-    ----------
-    plane, t_d : (3,), (3,) float64
-        n / d in camera k and displacement from k to k-1, (11) of [MVO].
-    product : (3, 3) float64
-        (t - t_d) plane^T, what two views observe.
-    covariance : (6, 6) float64
-        Of (plane, t_d), long along the gauge.
-    scale_prior : ScalePrior
-        What settled the gauge.
-    closing, closing_variance : float, float
-        Share of its depth that the surface lost during the pair; of the same scale at any depth.
-    centre : (2,) float64
-        Ray (x, y, 1) of the region's centre in camera k.
-    inlier : (N,) bool
-        Correspondences that agree.
-    rms : float
-        Of the inliers' errors, in their own standard deviations.
-    """
-
-    plane: np.ndarray
-    t_d: np.ndarray
-    product: np.ndarray
-    covariance: np.ndarray
-    scale_prior: ScalePrior
+    plane: np.ndarray  # (3,): n / d in camera k
+    t_d: np.ndarray  # (3,): displacement from k to k-1, (11) of [MVO]
+    product: np.ndarray  # (3, 3): (t - t_d) plane^T, what two views observe
+    covariance: np.ndarray  # (6, 6): of (plane, t_d), long along the gauge
+    scale_prior: ScalePrior  # what settled the gauge
+    # share of its depth that the surface lost during the pair; of the same scale at any depth
     closing: float
-    closing_variance: float
-    centre: np.ndarray
-    inlier: np.ndarray
-    rms: float
+    closing_variance: float  # of that share
+    centre: np.ndarray  # (2,): ray (x, y, 1) of the region's centre in camera k
+    inlier: np.ndarray  # (N,) bool: correspondences that agree
+    rms: float  # of the inliers' errors, in their own standard deviations
 
 
 class View(NamedTuple):
@@ -76,44 +57,24 @@ class View(NamedTuple):
 
 
 class Regions(NamedTuple):
-    """Blocks of several regions, one region after the other.
+    """Blocks of several regions, one region after the other."""
 
-    Attributes
-    ----------
-    x, x_prev : (N, 2), (N, 2) float64
-        Centres in key frame k and their matches in the previous one, undistorted [px].
-    sigma : (N,) float64
-        Standard deviation of a coordinate of ``x_prev`` [px].
-    first : (R,) int64
-        Where each region begins.
-    """
-
-    x: np.ndarray
-    x_prev: np.ndarray
-    sigma: np.ndarray
-    first: np.ndarray
+    x: np.ndarray  # (N, 2): centres in key frame k, undistorted [px]
+    x_prev: np.ndarray  # (N, 2): their matches in the previous one [px]
+    sigma: np.ndarray  # (N,): standard deviation of a coordinate of ``x_prev`` [px]
+    first: np.ndarray  # (R,) int64: where each region begins
 
 
 class Surfaces(NamedTuple):
-    """Moving planes of several regions, their gauge still open.
+    """Moving planes of several regions, their gauge still open."""
 
-    Attributes
-    ----------
-    theta, covariance : (R, 5), (R, 5, 5) float64
-        Rate and slope as in geometry.moving_plane, and the covariance of their estimate, wider
-        where vectors scatter more than their sigma says.
-    centre : (R, 2) float64
-        First two coordinates of the ray they are about.
-    inlier : (N,) bool
-    variance : (R,) float64
-        Of the inliers' errors: 1 where they scatter as sigma says; infinite where less than half
-        of a region's vectors agree.
-    """
-
-    theta: np.ndarray
+    theta: np.ndarray  # (R, 5): rate and slope as in geometry.moving_plane
+    # (R, 5, 5): of their estimate, wider where vectors scatter more than their sigma says
     covariance: np.ndarray
-    centre: np.ndarray
-    inlier: np.ndarray
+    centre: np.ndarray  # (R, 2): first two coordinates of the ray they are about
+    inlier: np.ndarray  # (N,) bool: vectors that agree
+    # (R,): of the inliers' errors: 1 where they scatter as sigma says; infinite where less than
+    # half of a region's vectors agree
     variance: np.ndarray
 
     def only(self, i: int, rows: slice) -> 'Surfaces':

@@ -29,70 +29,37 @@ RULES = Rules()
 
 
 class Blocks(NamedTuple):
-    """Blocks of one region after the other.
+    """Blocks of one region after the other."""
 
-    Attributes
-    ----------
-    x, block : (N, 2), (N, 2) float64
-        Centres and sizes [px].
-    vector : (N, 2) float64
-        Where they were in the previous key frame, from where they are [px].
-    turned : (N, 2) float64
-        The part of that which the camera's rotation makes [px].
-    rho, sigma : (N,), (N,) float64
-        Apparent inverse depths and what noise makes of them [1/baseline].
-    first : (R,) int64
-        Where each region begins.
-    """
-
-    x: np.ndarray
-    block: np.ndarray
+    x: np.ndarray  # (N, 2): centres [px]
+    block: np.ndarray  # (N, 2): sizes [px]
+    # (N, 2): where they were in the previous key frame, from where they are [px]
     vector: np.ndarray
-    turned: np.ndarray
-    rho: np.ndarray
-    sigma: np.ndarray
-    first: np.ndarray
+    turned: np.ndarray  # (N, 2): the part of that which the camera's rotation makes [px]
+    rho: np.ndarray  # (N,): apparent inverse depths [1/baseline]
+    sigma: np.ndarray  # (N,): what noise makes of them [1/baseline]
+    first: np.ndarray  # (R,) int64: where each region begins
 
 
 class Outlines(NamedTuple):
-    """Where regions lie in the picture; R of them.
+    """Where regions lie in the picture; R of them."""
 
-    Attributes
-    ----------
-    low, high : (R, 2), (R, 2) float64
-        Corners of the boxes around the centres of their blocks [px].
-    foot : (R, 2) float64
-        Middle of the lowest row's lower edge [px].
-    drop : (R,) float64
-        Rows of the foot below the horizon [px]; infinite where that is unknown.
-    under : (R,) float64
-        Inverse depth of the ground there [1/baseline]; 0 where that is unknown.
-    filled : (R,) float64
-        Share of the box that blocks cover.
-    rho : (R,) float64
-        Mean apparent inverse depth of the blocks near the foot [1/baseline].
-    land : (R,) float64
-        How much rather they show still land at another height than the road's than one depth, as
-        chi-square: land looks farther than the road, as a car ahead does, and hides it, but its
-        inverse depth grows from row to row as the road's does, in one proportion.
-    kinds : (R,) int64
-        Vectors that differ.
-    turned : (R, 2) float64
-        Mean shift by the camera's rotation [px].
-    limit : (3,) float64
-        Greatest width, greatest and least height of vehicles, as shares of the camera's height.
-    """
-
-    low: np.ndarray
-    high: np.ndarray
-    foot: np.ndarray
+    low: np.ndarray  # (R, 2): corner of the box around the centres of its blocks [px],
+    high: np.ndarray  # (R, 2): and the corner opposite [px]
+    foot: np.ndarray  # (R, 2): middle of the lowest row's lower edge [px]
+    # (R,): rows of the foot below the horizon [px]; infinite where that is unknown
     drop: np.ndarray
+    # (R,): inverse depth of the ground there [1/baseline]; 0 where that is unknown
     under: np.ndarray
-    filled: np.ndarray
-    rho: np.ndarray
+    filled: np.ndarray  # (R,): share of the box that blocks cover
+    rho: np.ndarray  # (R,): mean apparent inverse depth of the blocks near the foot [1/baseline]
+    # (R,): how much rather they show still land at another height than the road's than one depth,
+    # as chi-square: land looks farther than the road, as a car ahead does, and hides it, but its
+    # inverse depth grows from row to row as the road's does, in one proportion
     land: np.ndarray
-    kinds: np.ndarray
-    turned: np.ndarray
+    kinds: np.ndarray  # (R,) int64: vectors that differ
+    turned: np.ndarray  # (R, 2): mean shift by the camera's rotation [px]
+    # (3,): greatest width, greatest and least height of vehicles, as shares of the camera's height
     limit: np.ndarray
 
 

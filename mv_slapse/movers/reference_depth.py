@@ -39,17 +39,11 @@ RULES = Rules()
 
 @dataclass(frozen=True)
 class Past:
-    """Points that stood still in the last key frames.
+    """Points that stood still in the last key frames."""
 
-    Attributes
-    ----------
-    stamp : (N,) int
-        When they were seen [ns].
-    X : (N, 3) float64
-        In the camera of the last key frame [baseline of its pair].
-    """
-
+    # (N,) int: when they were seen [ns]
     stamp: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    # (N, 3): in the camera of the last key frame [baseline of its pair]
     X: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def carried(self, stamp: int, R: np.ndarray, t: np.ndarray, log_ratio: float) -> 'Past':

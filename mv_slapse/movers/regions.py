@@ -65,27 +65,14 @@ RULES = Rules()
 
 
 class KnownGround(NamedTuple):
-    """What is known of the ground that movers stand on.
+    """What is known of the ground that movers stand on."""
 
-    Attributes
-    ----------
-    plane : (3,) array or None
-        n / d in camera k [1/baseline], seen or predicted.
-    level : (3,) array or None
-        Up in camera k, where the plane is not known.
-    nearer : float
-        The ground may be this many times nearer, a guess: it tells what looks farther only.
-    camera_height : float
-        Above the ground [m].
-    id : int
-        Of its plane, -1: none.
-    """
-
-    plane: np.ndarray | None = None
-    level: np.ndarray | None = None
+    plane: np.ndarray | None = None  # (3,): n / d in camera k [1/baseline], seen or predicted
+    level: np.ndarray | None = None  # (3,): up in camera k, where the plane is not known
+    # the ground may be this many times nearer, a guess: it tells what looks farther only
     nearer: float = 1.0
-    camera_height: float = USUAL_HEIGHT
-    id: int = -1
+    camera_height: float = USUAL_HEIGHT  # above the ground [m]
+    id: int = -1  # of its plane, -1: none
 
 
 class _Pair(NamedTuple):

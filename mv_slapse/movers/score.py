@@ -58,25 +58,13 @@ RULES = Rules()
 
 
 class Seen(NamedTuple):
-    """All blocks of a picture.
+    """All blocks of a picture."""
 
-    Attributes
-    ----------
-    x : (M, 2) float64
-        Centres [px].
-    rho, sigma : (M,), (M,) float64
-        Apparent inverse depths and what noise makes of them [1/baseline].
-    under : (M,) float64
-        Inverse depth of the ground there [1/baseline].
-    copied : (M,) bool
-        Whether nothing still moves like that, but a neighbour does.
-    """
-
-    x: np.ndarray
-    rho: np.ndarray
-    sigma: np.ndarray
-    under: np.ndarray
-    copied: np.ndarray
+    x: np.ndarray  # (M, 2): centres [px]
+    rho: np.ndarray  # (M,): apparent inverse depths [1/baseline]
+    sigma: np.ndarray  # (M,): what noise makes of them [1/baseline]
+    under: np.ndarray  # (M,): inverse depth of the ground there [1/baseline]
+    copied: np.ndarray  # (M,) bool: whether nothing still moves like that, but a neighbour does
 
 
 def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen: Seen,

@@ -33,29 +33,16 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class Observation:
-    """One direct observation of a scene's state.
-
-    Attributes
-    ----------
-    kind : Kind
-    sigma : float
-        Standard deviation of each of its elements.
-    value : float
-        Height or length that is observed, where there is one [map unit].
-    plane : int or None
-        Id of the plane that it is about.
-    lasting : (N_LASTING,) array
-        What one standard deviation of each lasting error does to it.
-    depths : (18,) array
-        Of a DEPTH_RATIO: R and t of the pair's own motion, and the slope of its depths, see
-        scale.ratio.Depths.
-    """
+    """One direct observation of a scene's state."""
 
     kind: Kind
-    sigma: float
-    value: float = 0.0
-    plane: int | None = None
+    sigma: float  # standard deviation of each of its elements
+    value: float = 0.0  # height or length that is observed, where there is one [map unit]
+    plane: int | None = None  # id of the plane that it is about
+    # (N_LASTING,): what one standard deviation of each lasting error does to it
     lasting: np.ndarray = field(default_factory=lambda: np.zeros(N_LASTING))
+    # (18,): of a DEPTH_RATIO: R and t of the pair's own motion, and the slope of its depths, see
+    # scale.ratio.Depths
     depths: np.ndarray = field(default_factory=lambda: np.zeros(18))
 
     def row(self, state: SceneState) -> np.ndarray:

@@ -103,24 +103,12 @@ class Mount:
 
 @dataclass(frozen=True)
 class GroundPrior:
-    """What is expected of the ground in camera k.
+    """What is expected of the ground in camera k."""
 
-    Attributes
-    ----------
-    normal : (3,) array
-        Unit normal, up.
-    tilt : float
-        Standard deviation of its direction [rad].
-    inverse_depth : float
-        1 / d [1/baseline].
-    spread : float
-        Standard deviation of log(d); infinite: nothing is known.
-    """
-
-    normal: np.ndarray
-    tilt: float
-    inverse_depth: float = 1.0
-    spread: float = np.inf
+    normal: np.ndarray  # (3,): unit normal, up
+    tilt: float  # standard deviation of its direction [rad]
+    inverse_depth: float = 1.0  # 1 / d [1/baseline]
+    spread: float = np.inf  # standard deviation of log(d); infinite: nothing is known
 
     def distance(self, planes: np.ndarray) -> np.ndarray:
         """Squared Mahalanobis distance of planes (N, 3); what faces down is far off."""
@@ -207,20 +195,11 @@ class GroundTrack:
 
 @dataclass(frozen=True)
 class Vectors:
-    """What is known of N blocks beside their depths.
+    """What is known of N blocks beside their depths."""
 
-    Attributes
-    ----------
-    sigma : (N,) array
-        Standard deviation of a coordinate [px].
-    evidence : BlockObservations
-    unsupported : (N,) bool array
-        Vectors that no neighbour supports.
-    """
-
-    sigma: np.ndarray
+    sigma: np.ndarray  # (N,): standard deviation of a coordinate [px]
     evidence: BlockObservations
-    unsupported: np.ndarray
+    unsupported: np.ndarray  # (N,) bool: vectors that no neighbour supports
 
 
 @dataclass(frozen=True)

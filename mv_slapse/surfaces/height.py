@@ -38,30 +38,14 @@ POLICY = {
 
 @dataclass(frozen=True)
 class RoadBlocks:
-    """Blocks, right ones and wrong ones, and where among them the ground may be.
+    """Blocks, right ones and wrong ones, and where among them the ground may be."""
 
-    Attributes
-    ----------
-    depths : Depths
-        Of N blocks.
-    drop : (N,) array
-        What each ray falls on the way of one unit.
-    error : (N,) array
-        Epipolar error, in standard deviations.
-    sigma : (N,) array
-        Standard deviation of a coordinate [px].
-    parallax : (N,) array
-        Length of the motion that no rotation explains [px].
-    on_way : (N,) bool array
-        Blocks where the ground may be.
-    """
-
-    depths: Depths
-    drop: np.ndarray
-    error: np.ndarray
-    sigma: np.ndarray
-    parallax: np.ndarray
-    on_way: np.ndarray
+    depths: Depths  # of N blocks
+    drop: np.ndarray  # (N,): what each ray falls on the way of one unit
+    error: np.ndarray  # (N,): epipolar error, in standard deviations
+    sigma: np.ndarray  # (N,): standard deviation of a coordinate [px]
+    parallax: np.ndarray  # (N,): length of the motion that no rotation explains [px]
+    on_way: np.ndarray  # (N,) bool: blocks where the ground may be
 
 
 @dataclass(frozen=True)

@@ -17,23 +17,14 @@ MOST = 30  # planes out of view that are kept
 
 @dataclass(frozen=True)
 class KnownPlanes:
-    """K planes over several pairs, in the camera and the baseline of the last one.
+    """K planes over several pairs, in the camera and the baseline of the last one."""
 
-    Attributes
-    ----------
-    plane, covariance : (K, 3), (K, 3, 3) arrays
-        n / d [1/baseline], with neighbouring vectors' common errors counted.
-    id : (K,) int array
-        -1 until it is confirmed.
-    seen, missed : (K,) int arrays
-        Pairs that have shown it; pairs since then.
-    """
-
-    plane: np.ndarray
+    plane: np.ndarray  # (K, 3): n / d [1/baseline]
+    # (K, 3, 3): with neighbouring vectors' common errors counted
     covariance: np.ndarray
-    id: np.ndarray
-    seen: np.ndarray
-    missed: np.ndarray
+    id: np.ndarray  # (K,) int: -1 until it is confirmed
+    seen: np.ndarray  # (K,) int: pairs that have shown it
+    missed: np.ndarray  # (K,) int: pairs since then
 
     @classmethod
     def none(cls) -> 'KnownPlanes':

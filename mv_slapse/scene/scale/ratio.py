@@ -31,22 +31,12 @@ MAX_SPREAD = 0.2  # a depth's error, as a share of it, beyond which it does not 
 
 @dataclass(frozen=True)
 class Depths:
-    """The depths of a pair as a whole, and how they would change with its motion.
+    """The depths of a pair as a whole, and how they would change with its motion."""
 
-    Attributes
-    ----------
-    R, t : (3, 3), (3,) arrays
-        R_cur_from_prev, t_cur_from_prev of the extraction, |t| = 1.
-    slope : (6,) array
-        Derivative of the mean log of their inverse by (w, t), R -> exp(w) R.
-    variance : float
-        Of that mean by the covariance of the motion.
-    """
-
-    R: np.ndarray
-    t: np.ndarray
-    slope: np.ndarray
-    variance: float
+    R: np.ndarray  # (3, 3): R_cur_from_prev of the extraction
+    t: np.ndarray  # (3,): t_cur_from_prev, |t| = 1
+    slope: np.ndarray  # (6,): derivative of the mean log of their inverse by (w, t), R -> exp(w) R
+    variance: float  # of that mean by the covariance of the motion
 
     def change(self, state: SceneState) -> tuple[float, np.ndarray]:
         """Return the mean log of inverse depth at a state's motion over here; derivative (n,)."""

@@ -36,21 +36,12 @@ class Sight(NamedTuple):
 
 @dataclass(frozen=True)
 class Ride:
-    """Height [map unit] at which the camera has been seen to ride, 0 where it has not.
-
-    Attributes
-    ----------
-    height : float
-    error : (N_LASTING,) array
-        What errors that last have done to it, as shares of it; its own is one of them.
-    sights : tuple of Sight
-        What the last pairs have shown.
-    wander : HeightWander
-    """
+    """Height [map unit] at which the camera has been seen to ride, 0 where it has not."""
 
     height: float = 0.0
+    # (N_LASTING,): what errors that last have done to it, as shares of it; its own is one of them
     error: np.ndarray = field(default_factory=lambda: np.zeros(N_LASTING))
-    sights: tuple[Sight, ...] = ()
+    sights: tuple[Sight, ...] = ()  # what the last pairs have shown
     wander: HeightWander = HeightWander()
 
     def known(self, settings: SceneSettings) -> SceneSettings:
