@@ -95,7 +95,8 @@ def decoder_of(name: str) -> str:
 def is_key(data: bytes, codec: str) -> bool:
     """Return whether decoding can begin at this picture."""
     if codec == 'h264':
-        return any(unit[0] & 31 == bitstream.NAL_IDR for unit in bitstream.nal_units(data))
+        return any(unit[0] & 31 == bitstream.NAL_IDR or bitstream.is_recovery_point(unit)
+                   for unit in bitstream.nal_units(data))
     if codec in ('mpeg2video', 'mpeg1video'):
         at = data.find(b'\0\0\1\0')  # picture_start_code; then 10 bits of order, 3 of type
         return at >= 0 and at + 5 < len(data) and data[at + 5] >> 3 & 7 == 1
