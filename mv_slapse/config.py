@@ -49,6 +49,9 @@ class EncoderSettings(Checked):
     quality: int = setting(
         0, '-', 'quantiser of MPEG-2 (2 to 31) or rate factor of H.264 (1 to 51); 0: as gives the '
         'truest vectors', 0, 51)
+    rate: float = setting(
+        0.0, '1/s', 'rate of pictures that come without times, as in a folder; 0: unknown', 0.0,
+        10000.0)
     recode: str = setting(
         'auto', '-', f'which video is decoded and encoded again, one of {", ".join(RECODE)}; '
         'auto: that of codecs without motion vectors (HEVC, VP9, AV1, JPEG); always: also one '

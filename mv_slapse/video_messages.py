@@ -12,6 +12,7 @@ from mv_slapse.errors import UnusableInput
 from mv_slapse.fields import Fields, header, stamp_from_message
 from mv_slapse.message_checks import count, InvalidMessage, size
 from mv_slapse.picture_size import size_of_still
+from mv_slapse.raw_images import picture_of
 import numpy as np
 
 FFMPEG_PACKET = 'ffmpeg_image_transport_msgs/msg/FFMPEGPacket'
@@ -26,8 +27,6 @@ DECODERS = {'264': 'h264', 'avc': 'h264', '265': 'hevc', 'hevc': 'hevc', 'vp9': 
 MAX_BYTES = 2**26  # of a coded picture; one of 64 million pixels has as many
 HEVC_KEYS = range(16, 24)  # types of NAL units of pictures at which decoding may begin
 STILL_FORMATS = ('jpeg', 'jpg', 'png')
-CHANNELS = {'mono8': 1, '8UC1': 1, 'bgr8': 3, '8UC3': 3, 'rgb8': 3, 'bgra8': 4, 'rgba8': 4}
-TO_BGR = {'rgb8': cv2.COLOR_RGB2BGR, 'bgra8': cv2.COLOR_BGRA2BGR, 'rgba8': cv2.COLOR_RGBA2BGR}
 
 
 def from_message(message_type: str, msg: Any) -> Packet | Picture:
@@ -39,7 +38,7 @@ def from_message(message_type: str, msg: Any) -> Packet | Picture:
         Where the payload is none of the forms known for this type.
     """
     if message_type == IMAGE:
-        return Picture(_raw_image(msg), stamp_from_message(msg.header.stamp))
+        return Picture(picture_of(msg), stamp_from_message(msg.header.stamp))
     if message_type == FFMPEG_PACKET:
         stamp, name, flagged = msg.header.stamp, msg.encoding, bool(msg.flags & 1)
     elif message_type == COMPRESSED_VIDEO:
@@ -96,7 +95,8 @@ def decoder_of(name: str) -> str:
 def is_key(data: bytes, codec: str) -> bool:
     """Return whether decoding can begin at this picture."""
     if codec == 'h264':
-        return any(unit[0] & 31 == bitstream.NAL_IDR for unit in bitstream.nal_units(data))
+        return any(unit[0] & 31 == bitstream.NAL_IDR or bitstream.is_recovery_point(unit)
+                   for unit in bitstream.nal_units(data))
     if codec in ('mpeg2video', 'mpeg1video'):
         at = data.find(b'\0\0\1\0')  # picture_start_code; then 10 bits of order, 3 of type
         return at >= 0 and at + 5 < len(data) and data[at + 5] >> 3 & 7 == 1
@@ -140,18 +140,3 @@ def _still_image(msg: Any) -> np.ndarray:
     if image is None:
         raise UnusableInput(f'a CompressedImage says {msg.format!r} but is no picture of it')
     return image
-
-
-def _raw_image(msg: Any) -> np.ndarray:
-    n, encoding = CHANNELS.get(msg.encoding), msg.encoding
-    if n is None:
-        raise UnusableInput(f'pictures encoded as {encoding!r} are not supported; publish one '
-                            f'of {", ".join(CHANNELS)}')
-    size(msg.width, msg.height)
-    data = np.frombuffer(count(msg.data, 'data', 8 * MAX_BYTES), np.uint8)
-    if len(data) < msg.height * msg.step or msg.step < msg.width * n:
-        raise UnusableInput(f'an Image of {msg.width}x{msg.height} {encoding} has '
-                            f'{len(data)} bytes, too few')
-    rows = data[:msg.height * msg.step].reshape(msg.height, msg.step)[:, :msg.width * n]
-    image = rows.reshape(msg.height, msg.width, n) if n > 1 else rows
-    return cv2.cvtColor(image, TO_BGR[encoding]) if encoding in TO_BGR else image

@@ -43,7 +43,7 @@ BELOW = {
     'obstacles': {*LOW, 'filters'},
     'evaluation': {*LOW, 'storage'},
     'pipeline': {*LOW, *ROOMS},
-    'storage': {*LOW, 'codec', 'fields', 'video_messages', 'view_fields'},
+    'storage': {*LOW, 'codec', 'fields', 'picture_size', 'video_messages', 'view_fields'},
     'nodes': {*LOW, *ROOMS, 'encoding', 'pipeline', 'storage', 'fields', 'field_values',
               'message_checks', 'video_messages', 'view_fields'},
 }

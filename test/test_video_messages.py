@@ -2,10 +2,12 @@ from types import SimpleNamespace
 
 import cv2
 from mv_slapse import video_messages
+from mv_slapse.codec import bitstream
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.source import open_source
 from mv_slapse.config import DecoderSettings
+from mv_slapse.encoding.encoder import encode, Encoding
 from mv_slapse.errors import UnusableInput
 from mv_slapse.message_checks import InvalidMessage
 from mv_slapse.video_messages import (
@@ -14,8 +16,10 @@ from mv_slapse.video_messages import (
     FFMPEG_PACKET,
     from_message,
     IMAGE,
+    is_key,
 )
 import numpy as np
+import pictures
 import pytest
 
 TIME = SimpleNamespace(sec=1, nanosec=5)
@@ -166,3 +170,26 @@ def test_a_raw_picture_of_absurd_size_is_refused(width, height, step):
     with pytest.raises(InvalidMessage, match='width'):
         from_message(IMAGE, message(encoding='mono8', width=width, height=height, step=step,
                                     data=b'abcd'))
+
+
+def test_intra_refresh_can_be_joined_where_the_encoder_says_so(rng):
+    refresh = Encoding('h264', 0, 10, {
+        'x264-params': 'ref=1:scenecut=0:bframes=0:intra-refresh=1:keyint=10:threads=1'
+                       ':repeat-headers=1'})
+    packets = list(encode(pictures.sliding(rng, 40, (2, 1)), 30, refresh))
+    joins = [i for i, packet in enumerate(packets) if is_key(packet.data, 'h264')]
+    assert joins == [i for i, packet in enumerate(packets) if packet.is_key]
+    assert len(joins) >= 3
+    decoder = CorrespondenceDecoder(DecoderSettings(max_chain=1))
+    pairs = [pair for packet in packets[joins[1]:] for pair in decoder.feed(packet)]
+    assert len(pairs) >= 8
+    for pair in pairs:
+        np.testing.assert_allclose(np.median(pair.x_prev - pair.x_cur, axis=0), (2, 1), atol=0.3)
+
+
+def test_a_recovery_point_is_found_behind_other_messages():
+    assert bitstream.is_recovery_point(b'\x06\x05\x02ab\x06\x01\x80')
+    assert bitstream.is_recovery_point(b'\x06\x05\xff\x01' + bytes(256) + b'\x06\x01\x80')
+    assert not bitstream.is_recovery_point(b'\x06\x05\x04ab\x06\x01\x80')
+    assert not bitstream.is_recovery_point(b'\x41\x06\x01\x80')
+    assert not bitstream.is_recovery_point(b'\x06\xff\xff')

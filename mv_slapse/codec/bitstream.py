@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 START = b'\x00\x00\x01'
-NAL_SLICE, NAL_IDR, NAL_SPS, NAL_PPS = 1, 5, 7, 8
+NAL_SLICE, NAL_IDR, NAL_SEI, NAL_SPS, NAL_PPS = 1, 5, 6, 7, 8
+SEI_RECOVERY_POINT = 6
 HIGH_PROFILES = (100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135)
 LONGEST_SET = 1024  # bytes of a parameter set; the longest of real encoders have a tenth
 LONGEST_CODE = 32  # zeros before an Exp-Golomb number, H.264 9.1
@@ -281,6 +282,29 @@ def _references(bits: BitReader, kind: int, pps: PictureParameters) -> int:
     return max(lists)
 
 
+def is_recovery_point(unit: bytes) -> bool:
+    """Return whether an H.264 unit says that decoding may begin here, as intra refresh does.
+
+    Rec. ITU-T H.264, 7.3.2.3 and D.1.8: a supplemental enhancement message of type 6.
+    """
+    at = 1
+    while unit and unit[0] & 31 == NAL_SEI and at + 1 < len(unit):
+        kind, at = _sei_number(unit, at)
+        size, at = _sei_number(unit, at)
+        if kind == SEI_RECOVERY_POINT:
+            return True
+        at += size
+    return False
+
+
+def _sei_number(unit: bytes, at: int) -> tuple[int, int]:
+    """Return a number that is a sum of bytes, all but the last 255, and where it ends."""
+    value = 0
+    while unit[at:at + 1] == b'\xff':
+        value, at = value + 255, at + 1
+    return value + (unit[at] if at < len(unit) else 0), at + 1
+
+
 def codec_of(data: bytes, named: str) -> str:
     """Return the codec that a packet shows, or else that it is said to have.
 
@@ -306,5 +330,5 @@ def sniff(data: bytes) -> str:
     # Parameter sets, delimiter and key pictures of HEVC; H.264 has no such second byte there.
     if code in (0x26, 0x28, 0x2A, 0x40, 0x42, 0x44, 0x46) and data[at + 4:at + 5] == b'\x01':
         return 'hevc'
-    return 'h264' if code & 31 in (NAL_SLICE, NAL_IDR, 6, NAL_SPS, NAL_PPS, 9) else ''
+    return 'h264' if code & 31 in (NAL_SLICE, NAL_IDR, NAL_SEI, NAL_SPS, NAL_PPS, 9) else ''
 

@@ -1,4 +1,4 @@
-"""A video, whatever holds it: file, stream or bag."""
+"""A video, whatever holds it: file, stream, folder of pictures or bag."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +12,7 @@ from mv_slapse.encoding.recoder import Recoder
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed
-from mv_slapse.storage import tables
+from mv_slapse.storage import picture_folder, tables
 from mv_slapse.storage.bag_reader import BagReader, is_bag
 
 RECODED = ('this codec has no motion vectors that can be read, so that each picture is decoded '
@@ -60,7 +60,7 @@ class VideoInput:
 @contextmanager
 def open_input(name: str, topic: str | None = None,
                encoder: EncoderSettings | None = None) -> Iterator[VideoInput]:
-    """Open a video file, a URL, or the video topic of a bag.
+    """Open a video file, a URL, a folder of pictures, or the video topic of a bag.
 
     What has no motion vectors is encoded in memory, as the settings of the encoder say.
 
@@ -72,6 +72,11 @@ def open_input(name: str, topic: str | None = None,
     recoder = Recoder(encoder)
     if is_from_bag(name, topic):
         yield _open_bag(name, topic, recoder)
+        return
+    if picture_folder.is_folder(name):
+        found = picture_folder.entries(name, encoder.rate if encoder else 0.0)
+        yield VideoInput(coded(picture_folder.pictures(found), recoder), n_frames=len(found),
+                         recoder=recoder)
         return
     with open_source(name) as source:
         yield VideoInput(coded(source.packets(), recoder), (source.width, source.height),

@@ -55,7 +55,8 @@ def _add_run(commands: Any) -> argparse.ArgumentParser:
     command = commands.add_parser('run', help='process a video and write the folder of results')
     command.set_defaults(function=_run)
     command.add_argument('input', metavar='INPUT',
-                         help='video file, URL (rtsp, udp, http ...), or bag with a video topic')
+                         help='video file, URL (rtsp, udp, http ...), folder of pictures, or bag '
+                         'with a video topic')
     command.add_argument('--camera', metavar='YAML',
                          help='camera_info file; a bag may bring its own calibration')
     command.add_argument('--camera-height', type=_height, metavar='M',
@@ -95,7 +96,8 @@ def _add_eval(commands: Any) -> argparse.ArgumentParser:
 def _add_inspect(commands: Any) -> argparse.ArgumentParser:
     command = commands.add_parser('inspect', help='tell whether a video can be used')
     command.set_defaults(function=_inspect)
-    command.add_argument('input', metavar='INPUT', help='video file, URL or bag')
+    command.add_argument('input', metavar='INPUT',
+                         help='video file, URL, folder of pictures or bag')
     command.add_argument('--topic', help='video topic of a bag that has several')
     command.add_argument('--max-frames', type=_count, default=300, metavar='N',
                          help='look at N pictures (default: %(default)s)')

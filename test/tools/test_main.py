@@ -135,7 +135,7 @@ def test_noise_is_never_given_a_pose_in_silence(call, tmp_path):
 
 BAD_INPUT = [
     (['run', '{tmp}/none.mp4', '--camera', '{camera}'], 3, 'none.mp4: no such file'),
-    (['run', '{tmp}', '--camera', '{camera}'], 3, 'is a directory'),
+    (['run', '{tmp}', '--camera', '{camera}'], 3, 'no pictures there'),
     (['run', '{camera}', '--camera', '{camera}'], 3, 'cannot be opened as a video'),
     (['run', '{video}', '--camera', '{tmp}/none.yaml'], 3, 'no camera file'),
     (['run', '{video}', '--camera', '{video}'], 3, 'cannot be read as a camera file'),

@@ -1,0 +1,149 @@
+"""Pictures of a folder with their times, in the layouts of public data sets.
+
+Known are KITTI odometry (``image_0/000000.png``, ``times.txt`` beside it), KITTI raw
+(``image_00/data``, ``timestamps.txt``), EuRoC (``mav0/cam0/data.csv``), TUM RGB-D (``rgb.txt``),
+and any folder of pictures, in the order of their names, which then need a rate.
+"""
+
+from collections.abc import Iterator
+import csv
+from datetime import datetime, UTC
+from fnmatch import fnmatch
+from pathlib import Path
+import re
+from typing import NamedTuple
+
+import cv2
+from mv_slapse.codec.packet import Picture
+from mv_slapse.errors import UnusableInput
+from mv_slapse.picture_size import size_of_still
+from mv_slapse.storage.tum import parse_stamp
+import numpy as np
+
+SUFFIXES = ('.png', '.jpg', '.jpeg', '.pgm', '.ppm', '.bmp', '.tif', '.tiff', '.webp')
+# The camera of a data set's folder, where it is named as a whole: the first that there is.
+CAMERAS = ('mav0/cam0', 'image_0', 'image_00', 'image_2', 'image_02', 'cam0')
+PICTURES = ('data', 'rgb')
+MAX_PIXELS = 64_000_000  # as the decoder has it
+NUMBER = re.compile(r'%0?\d*d')
+
+
+class Entry(NamedTuple):
+    """A picture's file and its time [ns]."""
+
+    path: Path
+    stamp: int
+
+
+def is_folder(name: str) -> bool:
+    """Return whether an input names a folder of pictures, or a pattern such as ``a/%06d.png``."""
+    return '://' not in name and (bool(NUMBER.search(name)) or Path(name).is_dir())
+
+
+def entries(name: str, rate: float = 0.0) -> list[Entry]:
+    """Return the pictures of a folder, or of a pattern, in the order of time.
+
+    Parameters
+    ----------
+    rate : float
+        Of pictures that come without times [1/s]; 0 where it is not known.
+
+    Raises
+    ------
+    UnusableInput
+        Where there are no pictures, or no times of them and no rate; where times and pictures
+        are not as many.
+    """
+    try:
+        found = _entries(name, rate)
+    except (OSError, ValueError, ArithmeticError, IndexError, csv.Error) as error:
+        raise UnusableInput(f'{name} cannot be read as a folder of pictures: {error}') from error
+    if not found:
+        raise UnusableInput(f'{name}: no pictures there ({", ".join(SUFFIXES)}); give a folder '
+                            'that holds them, or a video')
+    return sorted(found, key=lambda entry: entry.stamp)
+
+
+def _entries(name: str, rate: float) -> list[Entry]:
+    folder = _camera(Path(NUMBER.sub('*', name)).parent if NUMBER.search(name) else Path(name))
+    listed = _listed(folder)
+    if listed is None:
+        pattern = Path(NUMBER.sub('*', name)).name if NUMBER.search(name) else '*'
+        listed = _by_name(folder, pattern, rate)
+    return listed
+
+
+def pictures(found: list[Entry]) -> Iterator[Picture]:
+    """Yield the pictures in grey.
+
+    Raises
+    ------
+    UnusableInput
+        Where one cannot be read, or says that it is larger than any camera's.
+    """
+    for path, stamp in found:
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise UnusableInput(f'{path} cannot be read: {error}') from error
+        width, height = size_of_still(data) or (0, 0)  # before memory is taken for it
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if (
+            data and width * height <= MAX_PIXELS) else None
+        if image is None:
+            raise UnusableInput(f'{path} is no picture that can be read; is it whole?')
+        yield Picture(image, stamp)
+
+
+def _camera(folder: Path) -> Path:
+    """Return the folder of one camera in a data set's folder."""
+    return next((folder / name for name in CAMERAS if (folder / name).is_dir()), folder)
+
+
+def _listed(folder: Path) -> list[Entry] | None:
+    """Return the pictures that a table beside them names; None where there is none."""
+    for table in (folder / 'data.csv', folder.parent / 'data.csv'):
+        if table.is_file():
+            with table.open(newline='') as rows:
+                return [Entry(table.parent / 'data' / row[1].strip(), int(row[0]))
+                        for row in csv.reader(rows) if row and not row[0].startswith('#')]
+    for table in (folder / 'rgb.txt', folder.parent / 'rgb.txt'):
+        if table.is_file():
+            lines = [line.split() for line in table.read_text().splitlines()]
+            return [Entry(table.parent / line[1], parse_stamp(line[0]))
+                    for line in lines if len(line) > 1 and not line[0].startswith('#')]
+    return None
+
+
+def _by_name(folder: Path, pattern: str, rate: float) -> list[Entry]:
+    inner = next((folder / name for name in PICTURES if (folder / name).is_dir()), folder)
+    paths = sorted(path for path in inner.iterdir() if path.suffix.lower() in SUFFIXES
+                   and fnmatch(path.name, pattern)) if inner.is_dir() else []
+    stamps = _times([inner, folder, folder.parent])
+    if stamps is None:
+        if paths and rate <= 0:
+            raise UnusableInput(f'{folder}: no times of its pictures (times.txt, timestamps.txt, '
+                                'data.csv, rgb.txt); give their rate: --set encoder.rate=30')
+        stamps = [round(i * 1e9 / rate) for i in range(len(paths))]
+    if paths and len(stamps) != len(paths):
+        raise UnusableInput(f'{inner}: {len(paths)} pictures and {len(stamps)} times; each '
+                            'picture needs one line')
+    return [Entry(*pair) for pair in zip(paths, stamps, strict=False)]
+
+
+def _times(folders: list[Path]) -> list[int] | None:
+    """Return the times [ns] of a table with one line for each picture."""
+    for folder in folders:
+        for name, parse in (('times.txt', parse_stamp), ('timestamps.txt', _date)):
+            if (folder / name).is_file():
+                lines = (folder / name).read_text().split('\n')
+                return [parse(line.strip()) for line in lines if line.strip()]
+    return None
+
+
+def _date(text: str) -> int:
+    """Return the time [ns] of a date with nanoseconds, as KITTI raw has it, or of seconds."""
+    day, dot, fraction = text.partition('.')
+    if '-' not in day:
+        return parse_stamp(text)
+    seconds = datetime.fromisoformat(day).replace(tzinfo=UTC).timestamp()
+    return int(seconds) * 10**9 + int(fraction[:9].ljust(9, '0') or 0)
