@@ -228,8 +228,7 @@ class Extraction:
         Label and plane of each 16x16 macroblock of the picture, row by row, -1 for none. What a
         mover covers is its own, also without a vector.
     baseline_ratio, baseline_ratio_sigma : float
-        log(|t| of this pair / |t| of the pair before) from the depths that they share, and its
-        standard deviation; infinite: unknown.
+        log(|t| / |t| of the pair before) from shared depths; its standard deviation, inf: unknown.
     """
 
     stamp: int
@@ -269,7 +268,7 @@ class MapPlane:
     first_stamp, last_stamp, n_observations : int
         When first and last seen [ns]; in how many key frames.
     n_macroblocks : int
-        Macroblocks on it in the newest key frame; 0 where not seen.
+        In the newest key frame; 0 where not seen.
     is_ground : bool
     """
 
@@ -303,9 +302,10 @@ class SceneEstimate:
         Of (velocity_world, omega_cam).
     scale_status, scale_source : ScaleStatus, str
         Unit of length and where it comes from.
-    planes : tuple of MapPlane
-    baseline : float
-        Distance between the two key frames of the pair [map unit].
+    planes, baseline : tuple of MapPlane, float
+        The map; distance between the pair's key frames [map unit].
+    resets, repairs : int
+        How often {W} began anew, after a loss, and the covariance had to be put right.
     """
 
     stamp: int
@@ -321,6 +321,8 @@ class SceneEstimate:
     scale_source: str
     planes: tuple[MapPlane, ...] = ()
     baseline: float = 0.0
+    resets: int = 0
+    repairs: int = 0
 
 
 @dataclass(frozen=True)
@@ -343,10 +345,8 @@ class Obstacle:
     outline : (M, 3) float64
         Seen surface in {W}.
     n_macroblocks : int
-    age : float
-        Time since the first detection [s].
-    last_seen : int
-        Stamp of the last evidence [ns].
+    age, last_seen : float, int
+        Time since the first detection [s], stamp of the last evidence [ns].
     scale_prior : ScalePrior
     """
 

@@ -10,6 +10,8 @@ from mv_slapse.kernels.binding import compiled
 import numpy as np
 from scipy.special import gammaincinv
 
+ROUNDING = 1e-6  # by which an eigenvalue of the correlations may lie below zero
+
 
 class State:
     """Mean and covariance with named blocks, such as ``'camera'`` and one for each plane id.
@@ -111,6 +113,23 @@ def update(state: State, innovation: np.ndarray, H: np.ndarray, R: np.ndarray):
     state.mu = state.mu + K @ innovation
     state.P = _symmetric(I_KH @ state.P @ I_KH.T + K @ R @ K.T)
     state.lasting = I_KH @ state.lasting
+
+
+def repair(state: State) -> bool:
+    """Make P a covariance where rounding has left none; return whether that was so.
+
+    Judged by its correlations, for the units of its elements differ.
+    """
+    sigma = np.sqrt(np.maximum(np.diagonal(state.P), 0))
+    unit = np.where(sigma > 0, sigma, 1)
+    correlation = state.P / unit[:, None] / unit
+    try:
+        np.linalg.cholesky(correlation + ROUNDING * np.eye(len(unit)))
+        return False
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(correlation)
+        state.P = _symmetric(unit[:, None] * (vectors * np.maximum(values, 0) @ vectors.T) * unit)
+        return True
 
 
 def squared_distance(innovation: np.ndarray, S: np.ndarray) -> float:

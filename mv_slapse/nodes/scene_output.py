@@ -55,12 +55,13 @@ class SceneOutput:
     def restart(self):
         """Forget the path."""
         self._poses: deque[PoseStamped] = deque(maxlen=self._settings.path_length)
-        self._path_due = self._markers_due = 0
+        self._path_due = self._markers_due = self._anew = 0
         self._shown = view_fields.MarkerBoard(
             self._node.settings[FrameSettings].odom_frame)
 
     def publish(self, scene: SceneEstimate, frames: RosFrames, placement: Placement):
         """Publish an estimate; the transform goes before the data of the same stamp."""
+        self._count(scene)
         if scene.status in WITH_POSE:
             placement.note(scene, frames)
             self._publish_pose(scene, frames, placement)
@@ -69,6 +70,13 @@ class SceneOutput:
             scene, frames, self._node.resets)))
         self._publish_markers(scene, frames)
         self._report(scene)
+
+    def _count(self, scene: SceneEstimate):
+        """Add how often the filter began anew to the node's count; a new one counts from 0."""
+        self._node.resets += max(scene.resets - self._anew, 0)
+        self._anew = scene.resets
+        self._node.health.value('resets', self._node.resets)
+        self._node.health.value('covariances repaired', scene.repairs)
 
     def _publish_pose(self, scene: SceneEstimate, frames: RosFrames, placement: Placement):
         if self._tf_type is not None and self._settings.publish_tf:

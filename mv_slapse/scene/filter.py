@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from mv_slapse.blas import one_thread
 from mv_slapse.config import SceneSettings
+from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation, two_view
 from mv_slapse.records import (
     Extraction,
@@ -24,7 +25,7 @@ from mv_slapse.scene import state as scene_state
 from mv_slapse.scene import update as scene_update
 from mv_slapse.scene.noise import Agreement, Dependence
 from mv_slapse.scene.observations import Observation
-from mv_slapse.scene.progress import Progress
+from mv_slapse.scene.progress import Progress, SHORTEST
 from mv_slapse.scene.scale import ratio as scene_ratio
 from mv_slapse.scene.scale import rest as scene_rest
 from mv_slapse.scene.scale import speed as scene_speed
@@ -35,6 +36,7 @@ from mv_slapse.scene.state import SceneState
 import numpy as np
 
 UP_CAM = np.array([0.0, -1.0, 0.0])
+ASTRAY = 5.0  # times lost_after: a car at rest may meanwhile be anywhere on the next crossing
 PATIENCE = 5  # key frames in which a plane may contradict the map
 START = 3.0  # factor on the random walk of the velocity while the camera starts to move
 REST_SIGMA = 1.0  # of the log of a first baseline that is guessed
@@ -64,7 +66,7 @@ class SceneFilter:
         """Start before the first key frame."""
         self._settings = settings
         self._state: SceneState | None = None
-        self._progress = Progress(0)
+        self._progress = Progress(0, 0.0)
         self._map = scene_map.SceneMap()
         self.distances: dict[int, float] = {}
         self._ride, self._agreement = Ride(), Agreement()
@@ -98,21 +100,25 @@ class SceneFilter:
         self._map.accept(self._state, handovers)
         leaving = self._map.release(self._state, extraction)
         status, reason = self._advance(extraction)
+        self._progress.repairs += ekf.repair(self._state.error)
         return scene_record.estimate(self._state, self._map.planes(self._state), extraction.stamp,
-                                     status, reason, self._progress.source), leaving
+                                     status, reason, self._progress), leaving
 
     def _begin(self, extraction: Extraction):
         """Put {W} at the first key frame."""
         self._state = scene_state.start(UP_CAM, FREE_SIGMA, 1.0, 0.07)
         self._sway(np.inf)
-        self._progress = Progress(extraction.previous_stamp)
+        self._progress = Progress(extraction.previous_stamp, ASTRAY * self._settings.lost_after)
 
     def _advance(self, extraction: Extraction):
         """Predict to the key frame and correct; return the tracking status and its reason."""
         status = extraction.motion.status
         follows = self._catch_up(extraction)
-        dt, reason = self._elapsed(extraction.stamp), extraction.reason
-        if status != MotionStatus.UNKNOWN and scene_gauge.is_vague(self._state):
+        dt, reason = self._progress.elapse(extraction.stamp), extraction.reason
+        if dt > self._progress.horizon:
+            status = MotionStatus.UNKNOWN
+        elif status != MotionStatus.UNKNOWN and (
+                self._progress.is_astray or scene_gauge.is_vague(self._state)):
             self._begin_anew()
         if status == MotionStatus.STANDSTILL:
             return self._stand(extraction)
@@ -131,24 +137,13 @@ class SceneFilter:
         """Whether more than the map tells lengths: metres, or a height that stays."""
         return self._progress.metric or self._ride.height > 0
 
-    def _elapsed(self, stamp: int) -> float:
-        """Return the time [s] since the last key frame; as usual where a clock was set back."""
-        progress = self._progress
-        dt = (stamp - progress.stamp) * 1e-9
-        if dt > 0:
-            progress.interval = dt
-        elif progress.supported is not None:
-            progress.supported = min(progress.supported, stamp)
-        progress.stamp = stamp
-        return progress.interval
-
     def _catch_up(self, extraction: Extraction) -> bool:
         """Predict through pairs that never came; return whether there was none.
 
         A pair relates its own two key frames: the earlier one must be the filter's last.
         """
         gap = (extraction.previous_stamp - self._progress.stamp) * 1e-9
-        if gap <= 0:
+        if gap <= SHORTEST:
             return True
         start, self._progress.stamp = self._progress.stamp, extraction.previous_stamp
         if self._progress.supported is not None:
@@ -159,9 +154,10 @@ class SceneFilter:
         """Begin a new local frame where the heading has been lost: no plane's place is known."""
         for id in list(self._state.planes):
             self._map.leave(self._state, id)
-            self._state.remove_plane(id)
         scene_gauge.begin_anew(self._state, self._is_tied)
         self._progress.anew = self._progress.started
+        self._progress.resets += self._progress.started
+        self._progress.blind = 0.0
 
     def _stand(self, extraction: Extraction):
         """Zero-velocity update: the pose stays exactly as it is, so nothing drifts."""
@@ -180,7 +176,7 @@ class SceneFilter:
         """Note that the camera has not moved; planes out of view do not age meanwhile."""
         progress = self._progress
         progress.rested = progress.started
-        progress.supported = extraction.stamp
+        progress.see(extraction.stamp)
         self._map.wait(extraction.stamp - extraction.previous_stamp)
         return TrackingStatus.OK, reason
 
@@ -202,8 +198,6 @@ class SceneFilter:
         """Move the camera at constant velocity; the planes change along the way."""
         settings, state = self._settings, self._state
         speed = np.linalg.norm(state.velocity)
-        # Not the speed now: what comes to rest could hardly start again, the scale would shrink.
-        self._progress.fastest = max(speed, self._progress.fastest)
         density = (settings.acceleration if self._progress.metric
                    else settings.free_acceleration * self._progress.fastest)
         # Between two key frames a start is no random walk.
@@ -224,7 +218,22 @@ class SceneFilter:
             scene_state.bend(state, ground, settings.ground_slope * np.sqrt(metres))
 
     def _coast(self, dt: float, start: int):
-        """Move on from a stamp without a view: a mounted camera stays upright, a speed counts."""
+        """Move on from a stamp without a view, but no farther than a prediction says something.
+
+        A step so long that the camera is lost may be the clock's.
+        """
+        left, place = self._progress.horizon - self._progress.blind, self._state.current.t
+        self._progress.blind += dt
+        if left <= 0:
+            return
+        self._foresee(min(dt, left), start)
+        if dt > self._settings.lost_after:
+            scene_state.doubt_way(self._state, place)
+        if dt > left:
+            self._state.current.t = place
+
+    def _foresee(self, dt: float, start: int):
+        """Predict, and observe: a mounted camera stays upright, a speed counts."""
         self._predict(dt)
         self._progress.carried = False
         ground, turn = self._map.ground, float(np.linalg.norm(self._state.omega)) * dt
@@ -286,11 +295,13 @@ class SceneFilter:
             self._progress.carried = scene_ratio.begin(self._state, depths, settings.ratio_sigma)
         if first or self._progress.rested:
             scene_state.doubt_speed(self._state)
+        # Not the speed now: what comes to rest could hardly start again, the scale would shrink.
+        self._progress.fastest = max(np.linalg.norm(self._state.velocity), self._progress.fastest)
         self._ride = self._ride.seen(self._state, extraction, ground, settings)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
         if first or known or (ratio or way) and not self.distances:
-            self._progress.supported = extraction.stamp
+            self._progress.see(extraction.stamp)
             self._progress.rested, self._progress.started = False, True
             return TrackingStatus.OK, ''
         return self._unsupported(extraction.stamp, CONTRADICTED if self.distances else SCALELESS)
@@ -385,7 +396,5 @@ class SceneFilter:
 
     def _forget(self, stamp: int):
         """Marginalise planes out that have had no support for long, unless they may return."""
-        lifetime = self._settings.plane_lifetime * 1e9
-        for id in self._map.overdue(self._state, stamp, lifetime):
+        for id in self._map.overdue(self._state, stamp, self._settings.plane_lifetime * 1e9):
             self._map.leave(self._state, id)
-            self._state.remove_plane(id)

@@ -49,15 +49,17 @@ class SceneMap:
         del self._sightings[id], self._seen[id]
 
     def leave(self, state: SceneState, id: int):
-        """Keep a wall that the filter gives up as it was last known, if it was well seen.
+        """Take a plane out of the state; keep a wall as it was last known, if it was well seen.
 
         Not the ground: elsewhere the road is another plane.
         """
         if not self.is_lasting(id):
+            state.remove_plane(id)
             self.remove(id)
             return
         self._sightings[id] = replace(self._sightings[id], n_macroblocks=0)
         self._left[id] = self._map_planes(state)[id]
+        state.remove_plane(id)
         if len(self._left) > MOST_LEFT:
             oldest = min(self._left, key=lambda id: self._left[id].last_stamp)
             del self._left[oldest]

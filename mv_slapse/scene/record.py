@@ -2,14 +2,14 @@
 
 from mv_slapse.records import MapPlane, ScaleStatus, SceneEstimate, TrackingStatus
 from mv_slapse.scene import gauge as scene_gauge
-from mv_slapse.scene import progress as scene_progress
+from mv_slapse.scene.progress import Progress
 from mv_slapse.scene.state import SceneState
 import numpy as np
 
 
 def estimate(state: SceneState, planes: tuple[MapPlane, ...], stamp: int, status: TrackingStatus,
-             reason: str, source: str) -> SceneEstimate:
-    """Return the record of a state and of its map; ``source``: of the scale, see Progress."""
+             reason: str, progress: Progress) -> SceneEstimate:
+    """Return the record of a state and of its map, and of how it came about."""
     # The state has the rotation first, about the camera's axes; the record about those of {W}.
     turn = np.zeros((6, 6))
     turn[:3, 3:], turn[3:, :3] = np.eye(3), state.current.R
@@ -18,6 +18,6 @@ def estimate(state: SceneState, planes: tuple[MapPlane, ...], stamp: int, status
         stamp, status, reason, state.current.R.copy(), state.current.t.copy(), pose,
         state.velocity.copy(), state.omega.copy(),
         scene_gauge.covariance(state, 'velocity', 'omega'),
-        ScaleStatus.UNKNOWN if source == scene_progress.FREE else ScaleStatus.METRIC, source,
-        planes,
-        float(np.linalg.norm(state.current.t - state.previous.t)))
+        ScaleStatus.METRIC if progress.metric else ScaleStatus.UNKNOWN, progress.source, planes,
+        float(np.linalg.norm(state.current.t - state.previous.t)), progress.resets,
+        progress.repairs)

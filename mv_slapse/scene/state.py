@@ -208,6 +208,13 @@ def doubt_speed(state: SceneState):
     state.error.P[at, at] += np.outer(state.velocity, state.velocity)
 
 
+def doubt_way(state: SceneState, place: np.ndarray):
+    """Let the position be unsure by all of the way from a place (3,) in {W}."""
+    at = state.at('current').start + 3
+    state.error.P[at:at + 3, at:at + 3] += np.outer(state.current.t - place,
+                                                    state.current.t - place)
+
+
 def halt(state: SceneState, omega: np.ndarray, covariance: np.ndarray):
     """Set the velocity to zero and the angular velocity (3,) [rad/s] with its covariance (3, 3).
 

@@ -58,7 +58,7 @@ class MessageLog:
         put('/planes/observations', 'mv_slapse_msgs/msg/PlaneObservations',
             fields.extraction_to_fields(step.extraction, frames), stamp)
         put('/planes/map', 'mv_slapse_msgs/msg/PlaneMap',
-            fields.plane_map_to_fields(scene, frames), stamp, True)
+            fields.plane_map_to_fields(scene, frames, scene.resets), stamp, True)
         put('/obstacles', 'mv_slapse_msgs/msg/ObstacleArray',
             fields.obstacles_to_fields(stamp, step.obstacles, scene.scale_status, frames), stamp)
         for handover in step.handovers:

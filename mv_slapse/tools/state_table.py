@@ -28,7 +28,8 @@ frame that told them.
 
 Counters: `messages on TOPIC`, `rejected on TOPIC` (messages that say what cannot be), `unusable on
 TOPIC`, `lost on TOPIC` (by the middleware), `faults`, `resets`, `key frame pairs`, `broken pairs`,
-`packets dropped by overload`, `segments dropped by overload`, `gaps`, `observations dropped`.
+`packets dropped by overload`, `segments dropped by overload`, `gaps`, `observations dropped`,
+`covariances repaired` (by the filter, where rounding had spoilt one).
 """
 COLUMNS = ('Condition', 'Nodes', 'Meaning', 'Next step')
 

@@ -113,3 +113,24 @@ def test_blocks_come_and_go_with_their_lasting_errors():
     state.remove('a')
     np.testing.assert_array_equal(state.lasting, [[2, 3], [4, 5]])
     np.testing.assert_array_equal(state.covariance('b'), [[14, 23], [23, 42]])
+
+
+def test_a_matrix_that_is_no_covariance_becomes_the_nearest_one(rng):
+    """Elements of very different units: judged and mended by their correlations."""
+    unit, A = np.array([1e-6, 1.0, 1e5, 1e-3]), rng.normal(size=(4, 9))
+    state = ekf.State()
+    state.add('all', np.zeros(4), A @ A.T * np.outer(unit, unit))
+    sound = state.P.copy()
+    assert not ekf.repair(state)
+    np.testing.assert_array_equal(state.P, sound)
+    state.P[0, 1] = state.P[1, 0] = 2 * np.sqrt(sound[0, 0] * sound[1, 1])
+    assert ekf.repair(state)
+    assert np.linalg.eigvalsh(state.P / np.outer(unit, unit)).min() > -1e-9
+    assert not ekf.repair(state)
+    np.testing.assert_array_equal(state.P, state.P.T)
+
+
+def test_what_is_known_exactly_needs_no_repair():
+    state = ekf.State()
+    state.add('all', np.zeros(4), np.diag([0, 1e-20, 1, 0.0]))
+    assert not ekf.repair(state)

@@ -1,5 +1,7 @@
 """Where the trajectory lies: publish_tf, initialpose, ~/pause, ~/reset, the counter of resets."""
 
+from dataclasses import replace
+
 import pytest
 
 pytest.importorskip('rclpy')
@@ -86,6 +88,20 @@ def test_pause_goes_on_from_the_last_pose_and_counts_a_reset(bench):
     assert value_of(drive.node, 'resets') == '1'
     variances = [msg.pose.covariance[0] for msg in drive.odometry]
     assert variances[3] > variances[2]
+
+
+def test_a_gap_that_no_prediction_bridges_counts_a_reset(bench):
+    drive, hour = Drive(bench), 3600 * 10**9
+    drive.go(0, 3)
+    late = drives.steps(N)[4].extraction
+    drive.publisher.publish(to_message(PlaneObservations, fields.extraction_to_fields(replace(
+        late, stamp=late.stamp + hour, previous_stamp=late.previous_stamp + hour),
+        RosFrames(camera='cam'))))
+    assert bench.spin(lambda: len(drive.odometry) == 4 and len(drive.maps) >= 4, 20)
+    assert [msg.resets for msg in drive.maps] == [0, 0, 0, 1]
+    assert value_of(drive.node, 'resets') == '1'
+    assert np.linalg.norm(np.subtract(position(drive.odometry[3]),
+                                      position(drive.odometry[2]))) < 5
 
 
 def test_reset_begins_at_the_origin(bench):

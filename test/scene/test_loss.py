@@ -4,11 +4,11 @@ from dataclasses import replace
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import rotation
-from mv_slapse.records import TrackingStatus
+from mv_slapse.records import MotionStatus, TrackingStatus
 from mv_slapse.scene.filter import SceneFilter
 import numpy as np
 import pytest
-from scene_drive import Canyon, driven, METRIC, position_errors, SPEED
+from scene_drive import assert_is_covariance, Canyon, driven, METRIC, position_errors, SPEED
 
 
 def test_a_lost_pair_is_predicted_and_the_filter_goes_on():
@@ -113,3 +113,65 @@ def test_a_heading_that_was_lost_stays_as_uncertain_as_it_was(rng):
     assert all(e.status is TrackingStatus.OK for e in after)
     assert [e.baseline for e in after[5:]] == pytest.approx([0.1 * SPEED] * 15, rel=0.1)
     assert all(nees(canyon, e, 31 + i) < 25 for i, e in enumerate(after))
+
+
+@pytest.mark.parametrize('settings', [METRIC, SceneSettings()])
+@pytest.mark.parametrize('step', [1, 60, 3600, 86400, -1, -60, -86400])
+def test_a_clock_that_steps_does_not_carry_the_pose_away(settings, step):
+    """Lost or right, and found again with the next pair, in a frame that is counted as new."""
+    canyon, filter_, step = Canyon(), SceneFilter(settings), step * 10**9
+    unit = 1.0 if settings.camera_height else 0.1 * SPEED
+    driven(canyon, 10, filter_=filter_)
+    torn = replace(canyon.blank(11), stamp=canyon.blank(11).stamp + step)
+    estimates = [filter_.step(torn)[0]]
+    for pair in map(canyon.extraction, range(12, 32)):
+        estimates.append(filter_.step(replace(pair, stamp=pair.stamp + step,
+                                              previous_stamp=pair.previous_stamp + step))[0])
+    assert estimates[0].status is (TrackingStatus.LOST if step > 0 else TrackingStatus.PREDICTED)
+    assert all(e.status is TrackingStatus.OK for e in estimates[1:])
+    assert estimates[-1].resets == (step > 0)
+    for k, estimate in enumerate(estimates):
+        assert_is_covariance(estimate.pose_covariance)
+        error = canyon.pose(11 + k)[1] / unit - estimate.t_world_from_cam
+        assert np.linalg.norm(error) * unit < 10
+        assert error @ np.linalg.solve(estimate.pose_covariance[:3, :3], error) < 14.2
+
+
+@pytest.mark.parametrize('apart', [1, 1000])
+def test_pairs_that_are_no_time_apart_leave_the_velocity_as_it_was(apart):
+    """As a clock that stands still shows them: usual time has passed."""
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    driven(canyon, 10, filter_=filter_)
+    for i in range(5):
+        pair = canyon.extraction(11 + i)
+        pair = replace(pair, previous_stamp=canyon.extraction(10).stamp + apart * i,
+                       stamp=canyon.extraction(10).stamp + apart * (i + 1))
+        estimate = filter_.step(pair)[0]
+        assert_is_covariance(estimate.pose_covariance)
+        assert np.linalg.norm(estimate.velocity_world) == pytest.approx(SPEED, rel=0.1)
+    assert max(position_errors(canyon, [estimate], 15)) < 0.3
+
+
+def test_a_pose_goes_no_farther_than_a_prediction_says_something():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    before = driven(canyon, 10, filter_=filter_)[-1]
+    gone = [filter_.step(canyon.blank(k))[0] for k in range(11, 400)]
+    way = [np.linalg.norm(e.t_world_from_cam - before.t_world_from_cam) for e in gone]
+    assert way[48] == pytest.approx(4.9 * SPEED, rel=0.1)
+    assert max(way) < 5.2 * SPEED
+    assert {e.status for e in gone[10:]} == {TrackingStatus.LOST}
+    found = filter_.step(canyon.extraction(400))[0]
+    assert (found.status, found.resets) == (TrackingStatus.OK, 1)
+
+
+def test_a_first_pair_and_a_stop_leave_a_speed_to_start_again_with():
+    """Else the next baseline is guessed as zero, whose logarithm is none, and P no covariance."""
+    canyon, filter_ = Canyon(), SceneFilter(SceneSettings())
+    filter_.step(canyon.extraction(1))
+    filter_.step(canyon.blank(2, MotionStatus.STANDSTILL))
+    pair = canyon.extraction(3)
+    estimate = filter_.step(replace(pair, planes=(), plane_id=np.full_like(pair.plane_id, -1),
+                                    baseline_ratio_sigma=np.inf))[0]
+    assert estimate.repairs == 0
+    assert np.sqrt(np.diag(estimate.pose_covariance)[:3]).max() < 1
+    assert estimate.baseline == pytest.approx(0.1, rel=0.5)  # a tenth of the first

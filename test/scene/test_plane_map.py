@@ -163,7 +163,6 @@ def test_a_well_seen_wall_stays_in_the_map_when_the_filter_gives_it_up(canyon):
     before = {plane.id: plane for plane in known.planes(state)}
     for id_ in (WALL, GROUND):
         known.leave(state, id_)
-        state.remove_plane(id_)
     planes = {plane.id: plane for plane in known.planes(state)}
     assert GROUND not in planes  # elsewhere the road is another
     assert planes[WALL].n_macroblocks == 0
@@ -183,7 +182,7 @@ def test_a_well_seen_wall_stays_in_the_map_when_the_filter_gives_it_up(canyon):
 def test_a_plane_seen_by_chance_does_not_stay(canyon):
     state, known = seen_often(canyon, scene_map.WELL_SEEN - 1)
     known.leave(state, WALL)
-    state.remove_plane(WALL)
+    assert WALL not in state.planes
     assert WALL not in [plane.id for plane in known.planes(state)]
 
 
@@ -206,7 +205,6 @@ def test_the_map_keeps_the_planes_seen_last_if_there_are_too_many(canyon, monkey
     known.observe(state, canyon.extraction(4), [2])
     for id_ in (2, WALL):
         known.leave(state, id_)
-        state.remove_plane(id_)
     ids = [plane.id for plane in known.planes(state)]
     assert 2 in ids
     assert WALL not in ids
