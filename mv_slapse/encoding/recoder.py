@@ -14,31 +14,94 @@ HELD = 64  # packets whose pictures may still be inside the decoder; 16 is the m
 DECODERS = {'av1': 'libdav1d'}
 
 
-class Recoder:
-    """Pictures and packets in, packets with motion vectors out.
+class PictureDecoder:
+    """Packets of any codec to pictures.
 
     Attributes
     ----------
-    recoded : str
-        FFmpeg's name of the codec that is decoded and encoded again; '' where packets are passed
-        on as they came.
+    codec : str
+        FFmpeg's name of it; empty before the first packet.
     """
+
+    def __init__(self):
+        """Open nothing until the first packet tells the codec."""
+        self._context: av.VideoCodecContext | None = None
+        self._stamps: dict[int, int] = {}
+        self._count = 0
+        self._is_whole = True
+        self.codec = ''
+
+    def feed(self, packet: Packet) -> list[tuple[av.VideoFrame, int]]:
+        """Return the pictures, with their stamps [ns], that a packet completes.
+
+        A packet that cannot be decoded gives nothing, nor do the pictures after it up to one that
+        needs no other.
+
+        Raises
+        ------
+        UnusableInput
+            Where FFmpeg has no decoder for the codec.
+        """
+        if self._context is None:
+            self._open(packet)
+        self._count += 1
+        self._stamps[self._count] = packet.stamp
+        self._stamps.pop(self._count - HELD, None)
+        return self._decode(_numbered(packet.data, self._count)) if packet.data else []
+
+    def flush(self) -> list[tuple[av.VideoFrame, int]]:
+        """Return the pictures still held back, at the end of the stream."""
+        return self._decode(None) if self._context else []
+
+    def _open(self, packet: Packet):
+        codec = codec_of(packet)
+        try:
+            self._context = av.CodecContext.create(DECODERS.get(codec, codec), 'r')
+        except (av.error.FFmpegError, ValueError) as error:
+            raise UnusableInput(f'{codec or "this video"} gives no motion vectors, and FFmpeg has '
+                                'no decoder for it here; send H.264, or encode the file again: '
+                                'ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 OUTPUT.mp4'
+                                ) from error
+        self.codec = codec
+        self._context.thread_count = 1  # more threads hold pictures back
+        self._context.options = {'max_pixels': str(MAX_PIXELS)}
+        if packet.extradata:
+            self._context.extradata = packet.extradata
+
+    def _decode(self, wrapped: av.Packet | None) -> list[tuple[av.VideoFrame, int]]:
+        try:
+            frames = self._context.decode(wrapped)
+        except av.error.EOFError:
+            return []
+        except av.error.FFmpegError:
+            self._is_whole = False
+            return []
+        return [picture for frame in frames for picture in self._checked(frame)]
+
+    def _checked(self, frame: av.VideoFrame) -> list[tuple[av.VideoFrame, int]]:
+        stamp = self._stamps.pop(frame.pts, None)
+        self._is_whole = (self._is_whole or frame.key_frame) and not frame.is_corrupt
+        return [(frame, stamp)] if stamp is not None and self._is_whole else []
+
+
+class Recoder:
+    """Pictures and packets in, packets with motion vectors out."""
 
     def __init__(self, settings: EncoderSettings | None = None):
         """Open nothing until the first item tells what it is."""
         self._settings = settings or EncoderSettings()
         self._encoder = ImageEncoder(encoding_of(self._settings))
-        self._context: av.VideoCodecContext | None = None
-        self._stamps: dict[int, int] = {}
-        self._count = 0
-        self._is_whole = True
-        self.recoded = ''
+        self._decoder = PictureDecoder()
+
+    @property
+    def recoded(self) -> str:
+        """FFmpeg's name of the codec that is encoded again; empty where packets pass as is."""
+        return self._decoder.codec
 
     def feed(self, item: Packet | Picture) -> list[Packet]:
         """Return the packets that a picture, or a packet, completes.
 
-        A packet that cannot be decoded gives nothing, nor do the pictures after it up to one that
-        needs no other: the motion from the last whole picture to that one is measured instead.
+        Over what cannot be decoded the motion between the whole pictures is measured.
 
         Raises
         ------
@@ -47,59 +110,26 @@ class Recoder:
         """
         if isinstance(item, Picture):
             return self._encoder.feed(item.image, item.stamp)
-        if not self.is_recoded(item):
+        if not self._is_recoded(item):
             return [item]
-        if self._context is None:
-            self._open(item)
-        self._count += 1
-        self._stamps[self._count] = item.stamp
-        self._stamps.pop(self._count - HELD, None)
-        return self._pictures(_numbered(item.data, self._count)) if item.data else []
+        return self._encode(self._decoder.feed(item))
 
     def flush(self) -> list[Packet]:
         """Return the packets still held back, at the end of the stream."""
-        last = self._pictures(None) if self._context else []
-        return last + self._encoder.flush()
+        return self._encode(self._decoder.flush()) + self._encoder.flush()
 
-    def is_recoded(self, packet: Packet) -> bool:
-        """Return whether packets of this stream are decoded and encoded again."""
-        if self._context is not None or self._settings.recode == 'always':
+    def _is_recoded(self, packet: Packet) -> bool:
+        if self.recoded or self._settings.recode == 'always':
             return True
-        return self._settings.recode == 'auto' and _codec(packet) not in WITH_VECTORS
+        return self._settings.recode == 'auto' and codec_of(packet) not in WITH_VECTORS
 
-    def _open(self, packet: Packet):
-        codec = _codec(packet)
-        try:
-            self._context = av.CodecContext.create(DECODERS.get(codec, codec), 'r')
-        except (av.error.FFmpegError, ValueError) as error:
-            raise UnusableInput(f'{codec or "this video"} gives no motion vectors, and FFmpeg has '
-                                'no decoder for it here; send H.264, or encode the file again: '
-                                'ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 OUTPUT.mp4'
-                                ) from error
-        self.recoded = codec
-        self._context.thread_count = 1  # more threads hold pictures back
-        self._context.options = {'max_pixels': str(MAX_PIXELS)}
-        if packet.extradata:
-            self._context.extradata = packet.extradata
-
-    def _pictures(self, wrapped: av.Packet | None) -> list[Packet]:
-        try:
-            frames = self._context.decode(wrapped)
-        except av.error.EOFError:
-            return []
-        except av.error.FFmpegError:
-            self._is_whole = False
-            return []
-        return [packet for frame in frames for packet in self._encode(frame)]
-
-    def _encode(self, frame: av.VideoFrame) -> list[Packet]:
-        stamp = self._stamps.pop(frame.pts, None)
-        self._is_whole = (self._is_whole or frame.key_frame) and not frame.is_corrupt
-        return [] if stamp is None or not self._is_whole else self._encoder.feed_frame(
-            frame, stamp)
+    def _encode(self, pictures: list[tuple[av.VideoFrame, int]]) -> list[Packet]:
+        return [packet for frame, stamp in pictures
+                for packet in self._encoder.feed_frame(frame, stamp)]
 
 
-def _codec(packet: Packet) -> str:
+def codec_of(packet: Packet) -> str:
+    """Return the codec of a packet, by its bytes where these are a stream of their own."""
     return (packet.codec if packet.extradata
             else bitstream.codec_of(packet.data, packet.codec))
 

@@ -44,11 +44,28 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(
         prog='mv_slapse', description='Pose, planes and moving obstacles from the motion vectors '
         'of encoded video.')
+    top.add_argument('--version', action=_Version, help='print the version and exit')
     commands = top.add_subparsers(dest='command', required=True, metavar='COMMAND')
     for add in (_add_run, _add_eval, _add_inspect, _add_bag, _add_demo, _add_doctor):
         command = add(commands)
         command.add_argument('--debug', action='store_true', help='show where an error arose')
     return top
+
+
+class _Version(argparse.Action):
+    """Print the version when it is asked for: looking it up takes a while."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str):
+        """Take no value."""
+        super().__init__(option_strings, dest, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any):
+        """Print and end."""
+        from importlib.metadata import PackageNotFoundError, version
+        try:
+            parser.exit(message=f'mv_slapse {version("mv_slapse")}\n')
+        except PackageNotFoundError:
+            parser.exit(1, 'mv_slapse is not installed; its version is not known\n')
 
 
 def _add_run(commands: Any) -> argparse.ArgumentParser:
@@ -68,6 +85,9 @@ def _add_run(commands: Any) -> argparse.ArgumentParser:
                          help='folder of the results (default: %(default)s)')
     command.add_argument('--topic', help='video topic of a bag that has several')
     command.add_argument('--max-frames', type=_count, metavar='N', help='stop after N pictures')
+    command.add_argument('--overlay', metavar='MP4',
+                         help='also write a video with coloured blocks and obstacles')
+    command.add_argument('--no-report', action='store_true', help='leave report.html out')
     command.add_argument('--settings', metavar='YAML', help='file of settings')
     command.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE',
                          help='change a setting; may be repeated')
@@ -144,6 +164,7 @@ def _add_output_style(command: argparse.ArgumentParser):
 def _run(args: argparse.Namespace) -> int:
     from mv_slapse.storage.camera_info import read_camera
     from mv_slapse.tools import run
+    from mv_slapse.tools.history import History
     from mv_slapse.tools.inputs import read_speeds
     from mv_slapse.tools.progress import progress_bar
     settings = _settings(args)
@@ -151,9 +172,16 @@ def _run(args: argparse.Namespace) -> int:
     speeds = read_speeds(args.speed, args.input) if args.speed else []
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C: files closed
     with progress_bar(args.quiet or args.json) as progress:
+        history = History()
         summary = run.run(args.input, camera, settings, args.output, args.max_frames, progress,
-                          args.topic, args.command_line, speeds)
+                          args.topic, args.command_line, speeds, history)
     _print(args, summary.to_dict(), run.text(summary, args.output))
+    if not args.no_report:
+        from mv_slapse.tools import run_report
+        run_report.write(args.output, summary.to_dict(), history)
+    if args.overlay and not summary.interrupted:
+        from mv_slapse.tools import overlay
+        overlay.write(args.overlay, args.input, args.output, args.topic, settings.encoder)
     if summary.interrupted:
         return INTERRUPTED
     if summary.is_lost:

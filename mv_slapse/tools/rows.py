@@ -26,7 +26,7 @@ from mv_slapse.errors import MvSlapseError
 from mv_slapse.records import Correspondences
 from mv_slapse.tools.cases import Case, Scene
 from mv_slapse.tools.eval import evaluate
-from mv_slapse.tools.report import plain
+from mv_slapse.tools.page import plain
 from mv_slapse.tools.run import decode, Decoded, replay
 
 PACKAGE = Path(__file__).resolve().parents[1]

@@ -22,6 +22,7 @@ from mv_slapse.records import Correspondences, ObstacleState, ScaleStatus, Segme
 from mv_slapse.storage.archives import SCHEMA_VERSION
 from mv_slapse.storage.message_log import WITH_POSE
 from mv_slapse.storage.results import ResultsWriter
+from mv_slapse.tools.history import History
 from mv_slapse.tools.inputs import open_input, VideoInput
 import numpy as np
 
@@ -127,7 +128,8 @@ class Decoded(NamedTuple):
 
 def run(input: str | Path, camera: Camera | None, settings: Settings, output: str | Path,
         max_frames: int | None = None, progress: Progress | None = None,
-        topic: str | None = None, command: str = '', speeds: Iterable[Speed] = ()) -> Summary:
+        topic: str | None = None, command: str = '', speeds: Iterable[Speed] = (),
+        history: History | None = None) -> Summary:
     """Run everything on a video file, a URL or a bag and write the folder of results.
 
     Parameters
@@ -143,6 +145,8 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
         For the record.
     speeds : iterable of Speed
         Of the vehicle, with the stamps of the video's clock; these make the scale metric.
+    history : History or None
+        Is told of each key frame.
 
     Raises
     ------
@@ -155,6 +159,7 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
     with open_input(str(input), topic, settings.encoder) as source:
         session = _Session(source, str(input), _camera(camera, source, str(input)), settings,
                            speeds)
+        session.history = history
         session.summary.command = command
         with ResultsWriter(output) as writer:
             try:
@@ -231,6 +236,7 @@ class _Session:
         self._planes: set[int] = set()
         self._obstacles: set[int] = set()
         self._stamps = array('q')
+        self.history: History | None = None
         self.summary = Summary(name)
 
     def play(self, writer: ResultsWriter, max_frames: int | None, progress: Progress | None):
@@ -296,6 +302,8 @@ class _Session:
             with self._clock.stage('write'):
                 writer.write(step)
             self._count(step)
+            if self.history:
+                self.history.add(step)
 
     def _check_size(self, pair: Correspondences):
         """Refuse pictures that the calibration is not of, from the first or a later one on."""

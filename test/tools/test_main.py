@@ -117,7 +117,8 @@ def test_a_lost_run_ends_with_4(call, clip, tmp_path, monkeypatch):
                        cpu_seconds={'total': 0.0})
 
     monkeypatch.setattr(run, 'run', lost)
-    code, out, err = call('run', clip.video, '--camera', clip.camera, '-o', tmp_path, '--json')
+    code, out, err = call('run', clip.video, '--camera', clip.camera, '-o', tmp_path, '--json',
+                          '--no-report')
     assert code == 4
     assert json.loads(out)['poses'] == 2
     assert 'fog' in err
