@@ -61,19 +61,7 @@ def with_bodies(field: Field, members: np.ndarray, first: np.ndarray, size: tupl
     """Return regions with the bodies that only together look farther than the ground.
 
     A body takes the blocks of regions that clearly look farther; those of others it leaves alone.
-
-    Parameters
-    ----------
-    field : Field
-    members, first : (M,) int64, (R,) int64
-        Blocks of one region after the other, and where each begins.
-    size : (int, int)
-        Width and height of the picture [px].
-    least : Least
-
-    Returns
-    -------
-    members, first : (M,) int64, (R,) int64
-        The same of the regions that are left, and of the bodies.
+    ``members`` (M,) int64 are the blocks of one region after the other, which begin at ``first``
+    (R,) int64, both given and returned; ``size`` is the picture's width and height [px].
     """
     return compiled.with_bodies(field, members, first, *size, *least, RULES)

@@ -67,16 +67,8 @@ def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
              level: np.ndarray | None, camera_height: float) -> Outlines:
     """Return the Outlines of regions.
 
-    Parameters
-    ----------
-    blocks : Blocks
-    K : (3, 3) array
-    ground : (3,) array or None
-        Ground plane n / d in camera k [1/baseline].
-    level : (3,) array or None
-        The same at any length, where only the horizon is known.
-    camera_height : float
-        Above the ground [m].
+    ``ground`` (3,) is n / d in camera k [1/baseline], ``level`` the same at any length, where only
+    the horizon is known; the camera's height above the ground is in metres.
     """
     ground, level = (NOT_KNOWN if up is None else up for up in (ground, level))
     return Outlines(*compiled.region_outlines(blocks, K, ground, level, RULES),

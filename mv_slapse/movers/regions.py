@@ -140,24 +140,10 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
                        ) -> tuple[Extraction, Memory]:
     """Add the moving planes of a pair to what was found stationary in it.
 
-    Parameters
-    ----------
-    extraction : Extraction
-        With motion, labels, and the ids of stationary planes.
-    memory : Memory
-        What the last call returned.
-    threshold : float
-        Score from which on a region is called moving; chi-square beyond its mean.
-    ground : KnownGround
-    departure : (N,) array, optional
-        As of movers.reference_depth.departure.
-
-    Returns
-    -------
-    extraction : Extraction
-        Blocks of moving regions are labelled MOVING with the plane's id.
-    memory : Memory
-        For the next pair.
+    The extraction has motion, labels, and the ids of stationary planes; ``memory`` is what the
+    last call returned. From the score ``threshold`` on, chi-square beyond its mean, a region is
+    called moving: its blocks are labelled MOVING with the plane's id. ``departure`` (N,) is as of
+    movers.reference_depth.departure. Returns extraction and memory.
     """
     pair = _pair(extraction, departure)
     motion = extraction.motion
