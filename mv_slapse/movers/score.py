@@ -57,17 +57,7 @@ class Rules(NamedTuple):
 RULES = Rules()
 
 
-class Seen(NamedTuple):
-    """All blocks of a picture."""
-
-    x: np.ndarray  # (M, 2): centres [px]
-    rho: np.ndarray  # (M,): apparent inverse depths [1/baseline]
-    sigma: np.ndarray  # (M,): what noise makes of them [1/baseline]
-    under: np.ndarray  # (M,): inverse depth of the ground there [1/baseline]
-    copied: np.ndarray  # (M,) bool: whether nothing still moves like that, but a neighbour does
-
-
-def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen: Seen,
+def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen,
            nearer: float = 1.0) -> np.ndarray:
     """Return squared distances (R,) of regions from all that is still, less what noise gives.
 
@@ -77,7 +67,7 @@ def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen:
     return compiled.region_scores(fit, outline, K, t, seen, nearer == 1, RULES)
 
 
-def departures(outline: Outlines, likelihood: np.ndarray, seen: Seen) -> np.ndarray:
+def departures(outline: Outlines, likelihood: np.ndarray, seen) -> np.ndarray:
     """Return how much rather regions (R,) have left where they stood than not, as chi-square.
 
     ``likelihood`` (R,) sums those of their blocks, as of movers.reference_depth.departure;
