@@ -268,7 +268,8 @@ RULES = (
     Rule('terrain', 'what looks farther than the road in one proportion is land, no mover',
          {MOVERS + 'outlines:RULES': constants(dependence=np.inf)}),
     Rule('body', 'blocks that only together look farther than the ground are a mover',
-         {MOVERS + 'body:with_bodies': gives(lambda field, members, first, *_: (members, first))}),
+         {MOVERS + 'body:with_bodies':
+          gives(lambda regions, *_: (regions.members, regions.first))}),
     Rule('upright', 'blocks of bodies tell nothing of the ground\'s height',
          {SURFACES + 'ground:POLICY': policy(upright_sure=1e18)}),
     Rule('possibly dynamic', 'blocks that may be a mover\'s do not count for the motion: all '

@@ -314,7 +314,7 @@ def body_above(i, o, seen, c):
     at = (across(i, o, seen, c) & (seen.x[:, 1] < o.low[i, 1] - c.macroblock / 2)
           & (seen.x[:, 1] > o.foot[i, 1] - o.limit[1] * o.drop[i]) & (seen.under > 0))
     under, rho = seen.under[at], seen.rho[at]
-    sigma = np.hypot(seen.sigma[at], c.ground_sigma * np.maximum(under, o.rho[i]))
+    sigma = np.hypot(seen.noise[at], c.ground_sigma * np.maximum(under, o.rho[i]))
     ground, region = (np.log(np.exp(-0.5 * ((rho - as_if) / sigma)**2) + c.outlier)
                       for as_if in (under, o.rho[i]))
     return 2 * np.sum(region - ground) / c.dependence
@@ -329,7 +329,7 @@ def ground_below(i, ratio, o, seen, c):
     at = across(i, o, seen, c) & (below > 0) & (below < reach)
     under, rho = seen.under[at], seen.rho[at]
     near = ratio * (o.under[i] if ratio > 1 else under)
-    sigma = np.hypot(seen.sigma[at], c.ground_sigma * np.maximum(under, near))
+    sigma = np.hypot(seen.noise[at], c.ground_sigma * np.maximum(under, near))
     nearest = np.where((ratio > 1) & (near > under), np.minimum(rho, near), rho)
     body = np.exp(-0.5 * ((nearest - near) / sigma)**2)
     covered = np.exp(-below[at] / c.half_covered) if ratio > 1 else 0.0

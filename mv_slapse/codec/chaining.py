@@ -75,15 +75,9 @@ def chain(newer: Correspondences, older: Correspondences,
           settings: DecoderSettings) -> Correspondences:
     """Return the pair from the newer's key frame to the older's previous one.
 
-    Each match of the newer pair is moved on by the mean motion of the (up to four) macroblocks
-    of the older pair that surround it; a match whose surroundings disagree, or that has none, is
+    Each match of the newer pair is moved on by the mean motion of the (up to four) macroblocks of
+    the older pair that surround it; a match whose surroundings disagree, or that has none, is
     dropped. A lone one is moved on by lone ones too, if it goes on as before. Variances add up.
-
-    Parameters
-    ----------
-    newer, older : Correspondences
-        Pairs k-1 to k and j to k-1.
-    settings : DecoderSettings
     """
     *columns, block = compiled.chain(
         _columns(newer), _columns(older), newer.width, newer.height, settings.agreement_slack,

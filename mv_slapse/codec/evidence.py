@@ -59,14 +59,8 @@ def of_one_interval(evidence: Evidence, field: np.ndarray, settings: DecoderSett
     """Drop the vectors that rather point to another picture than key frame k-1.
 
     FFmpeg tells the direction, not which picture (`FrameVectors.direction`). A vector to another
-    picture is longer or shorter than expected by at least a third.
-
-    Parameters
-    ----------
-    evidence : Evidence
-    field : (rows, columns, 2) float32
-        What to expect, see `MotionPrior.field` [px].
-    settings : DecoderSettings
+    picture is longer or shorter than expected by at least a third. ``field`` (rows, columns, 2)
+    [px] is what to expect, see `MotionPrior.field`.
     """
     near = compiled.near_expected(evidence.x_cur, evidence.vector, field,
                                   settings.reference_slack, settings.reference_tolerance)

@@ -22,13 +22,7 @@ CURE = ('re-encode it, for instance with: ffmpeg -i INPUT -c:v libx264 -refs 1 -
 
 
 def check_codec(codec: str):
-    """Refuse a codec whose decoder exports no motion vectors.
-
-    Raises
-    ------
-    UnusableInput
-        For HEVC, VP9, AV1 and all others; the message names the cure.
-    """
+    """Raise UnusableInput, which names the cure, of a codec whose decoder exports no vectors."""
     if codec not in WITH_VECTORS:
         raise UnusableInput(f'{codec or "this video"} gives no motion vectors: FFmpeg exports '
                             f'them for H.264, MPEG-1, MPEG-2 and MPEG-4 part 2 only; {CURE}')
@@ -62,12 +56,8 @@ class FrameDecoder:
     def feed(self, packet: Packet) -> list[FrameVectors]:
         """Return the pictures that this packet makes available.
 
-        Damage is a value: what cannot be decoded marks the next picture with the reason.
-
-        Raises
-        ------
-        UnusableInput
-            Where the codec gives no vectors, or the stamp is of no clock.
+        Damage is a value: what cannot be decoded marks the next picture with the reason. Raises
+        UnusableInput where the codec gives no vectors, or the stamp is of no clock.
         """
         if abs(packet.stamp) > LAST_STAMP:
             raise UnusableInput(f'a packet has the stamp {packet.stamp} ns, which no clock shows; '

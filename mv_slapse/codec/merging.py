@@ -15,14 +15,7 @@ import numpy as np
 def existence(kind: SegmentKind, n_b: int, p: float) -> float:
     """Return the probability that a right vector is among the evidence, Lemma 1 of [SLAPSE].
 
-    Parameters
-    ----------
-    kind : SegmentKind
-        IP, PP or PI.
-    n_b : int
-        B frames between the two key frames.
-    p : float
-        Probability that one vector is right.
+    Of a segment with ``n_b`` B frames, where one vector is right with the probability ``p``.
     """
     none_indirect = (1 - p * p) ** n_b
     return 1 - none_indirect if kind is SegmentKind.PI else 1 - (1 - p) * none_indirect
@@ -34,19 +27,8 @@ def merge(segment: Segment, evidence: Evidence, settings: DecoderSettings,
 
     Evidence that neither its own macroblock nor the neighbours support is rejected before
     averaging. Position and vector are averaged with the same weights, so that a motion that is
-    linear across the block stays exact although indirect evidence lies beside the centre.
-
-    Parameters
-    ----------
-    segment : Segment
-        Not BROKEN.
-    evidence : Evidence
-        All that is collected of it.
-    settings : DecoderSettings
-    expect : MotionPrior, optional
-        What the pairs before let expect.
-    p : float, optional
-        Probability that one vector is right, if the stream has shown it.
+    linear across the block stays exact although indirect evidence lies beside the centre. ``p`` is
+    the probability that one vector is right, if the stream has shown it.
     """
     field = None
     if expect is not None:
@@ -96,22 +78,12 @@ def match_probability(evidence: Evidence, merged: Correspondences,
 
 def agreed(evidence: Evidence, size: tuple[int, int], settings: DecoderSettings,
            field: np.ndarray | None = None, grows: bool = True) -> tuple[np.ndarray, ...]:
-    """Return what the evidence of each macroblock agrees on.
+    """Return what the evidence of each macroblock of a picture of some width and height agrees on.
 
     A macroblock's evidence falls into at most two clusters; the one that the eight macroblocks
-    around and the pairs before support best is taken.
-
-    Parameters
-    ----------
-    evidence : Evidence
-    size : tuple of int
-        Width and height of the picture [px].
-    settings : DecoderSettings
-    field : (rows, columns, 2) float32, optional
-        Vectors that the pairs before let expect [px].
-    grows : bool
-        Whether neighbours may agree on vectors that grow from one to the next. Where vectors
-        point to several pictures whole surfaces of them do, and agree so.
+    around and the pairs before support best is taken. ``field`` (rows, columns, 2) [px] is what
+    the pairs before let expect. Neighbours may agree on vectors that grow from one to the next
+    where it ``grows``: where vectors point to several pictures whole surfaces of them do.
 
     Returns
     -------

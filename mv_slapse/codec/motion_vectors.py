@@ -39,19 +39,11 @@ class FrameVectors:
 
 
 def columns(exported: np.ndarray | None) -> dict[str, np.ndarray]:
-    """Return the columns of FrameVectors that FFmpeg's exported table holds.
+    """Return the columns x, displacement, direction, block of FrameVectors from FFmpeg's table.
 
-    The match lies at dst + motion / motion_scale: FFmpeg's own src_x and src_y are rounded to
-    whole pixels. Half a pixel is taken off because FFmpeg counts from the picture's corner.
-
-    Parameters
-    ----------
-    exported : (40 N,) uint8, or None
-        The bytes of AVMotionVector rows, None for a picture without vectors.
-
-    Returns
-    -------
-    dict of x, displacement, direction, block; see FrameVectors
+    That is ``exported`` (40 N,) uint8, the bytes of AVMotionVector rows; None: there are none. The
+    match lies at dst + motion / motion_scale: FFmpeg's own src_x and src_y are rounded to whole
+    pixels. Half a pixel is taken off because FFmpeg counts from the picture's corner.
     """
     if exported is None or not len(exported):
         return {}

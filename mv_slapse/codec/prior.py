@@ -41,13 +41,8 @@ class MotionPrior:
         """Return the expected vectors (rows, columns, 2) [px] over a time [s]; None: unknown.
 
         A turn of the camera moves the whole picture: the shift between the expected and the
-        vectors at hand, most of which may be wrong, is found as a trimmed median and added.
-
-        Parameters
-        ----------
-        seconds : float
-        x, vector : (N, 2) float32
-            Vectors at hand, unfiltered [px].
+        vectors at hand, x and vector (N, 2) [px], most of which may be wrong, is found as a
+        trimmed median and added.
         """
         if self._velocity is None:
             return None

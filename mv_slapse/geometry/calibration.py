@@ -17,20 +17,9 @@ def camera_from_calibration(size: tuple[int, int], K: Any, model: str, distortio
                             origin: str) -> Camera:
     """Return the camera of the entries of a camera_info, or say what is wrong with them.
 
-    Parameters
-    ----------
-    size : (int, int)
-        Width and height [px].
-    K : 9 numbers, row-major [px]
-    model, distortion : str, numbers
-        Lens model and coefficients as ROS names and orders them; none means no distortion.
-    origin : str
-        File or topic, for messages.
-
-    Raises
-    ------
-    UnusableInput
-        Naming origin, entry and cure.
+    Of width and height [px], K (9 numbers, row-major) [px], lens model and coefficients as ROS
+    names and orders them; none means no distortion. ``origin``, a file or topic, is for messages.
+    Raises UnusableInput, which names origin, entry and cure.
     """
     K = _numbers(K, 'camera matrix', origin)
     if K.size != 9:

@@ -22,14 +22,9 @@ def inverse_depth(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
     """Inverse depth of each point in camera k and its sensitivity to the match.
 
     From X_prev ~ R^T (x_cur - rho t): with y = R x_prev / z, rho (t_xy - y t_z) = x_cur - y,
-    solved along the epipolar line.
-
-    Returns
-    -------
-    rho : (N,) array
-        Depth along the optical axis, inverted [1/|t|]; negative: behind the camera or moving.
-    per_pixel : (N,) array
-        |d rho / d x_prev| along the line [1/|t|/px].
+    solved along the epipolar line. Returns rho (N,), the depth along the optical axis, inverted
+    [1/|t|] (negative: behind the camera or moving), and |d rho / d x_prev| along the line (N,)
+    [1/|t|/px].
     """
     return compiled.inverse_depth(*map(_contiguous, (
         rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev)))

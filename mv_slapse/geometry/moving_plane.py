@@ -48,22 +48,9 @@ def transfer(theta: np.ndarray, rays: np.ndarray, centre: np.ndarray, K: np.ndar
              R_cur_from_prev: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where a moving plane's points were in the previous key frame, (11) of [MVO].
 
-    Parameters
-    ----------
-    theta : (5,), (6,) or (N, 5) array
-        Rate and slope, of one plane or for each ray.
-    rays : (N, 3) array
-        Of key frame k.
-    centre : (2,) or (N, 2) array
-        First two coordinates of the centre's ray.
-    K, R_cur_from_prev : (3, 3) arrays
-
-    Returns
-    -------
-    x_prev : (N, 2) array
-        [px].
-    jacobian : (N, 2, 5) array
-        By rate and slope.
+    ``theta`` (5,), (6,) or (N, 5) holds rate and slope, of one plane or for each of the rays (N,
+    3) of key frame k; ``centre`` (2,) or (N, 2) is the centre's ray. Returns pixels (N, 2) and
+    their derivative (N, 2, 5) by rate and slope.
     """
     g, offset, KR = theta[..., RATE], rays[:, :2] - centre, K @ R_cur_from_prev.T
     w = 1 + np.sum(offset * theta[..., SLOPE], axis=1)
@@ -135,17 +122,8 @@ def contact_depth(ground: np.ndarray, contact_: Contact, K: np.ndarray, slope: n
                   centre: np.ndarray) -> ContactDepth | None:
     """Depth of a region's centre from the ground plane under its lower edge, the scale prior.
 
-    Parameters
-    ----------
-    ground : (3,) array
-        n / d in camera k.
-    contact_, K : Contact, (3, 3) array
-    slope, centre : (2,), (2,) arrays
-
-    Returns
-    -------
-    depth : ContactDepth or None
-        None where the contact lies at the horizon or above: it tells nothing then.
+    ``ground`` (3,) is n / d in camera k; ``slope`` and ``centre`` (2,) are the region's. None
+    where the contact lies at the horizon or above: it tells nothing then.
     """
     ray = np.linalg.solve(K, np.r_[contact_.point, 1.0])
     offset = ray[:2] - centre

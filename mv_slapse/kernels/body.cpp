@@ -22,9 +22,10 @@ struct BodyRules {
         body(number(o, "body")), road(number(o, "road")), sharp(number(o, "sharp")),
         usual(number(o, "usual")), most(number(o, "most")), agrees(number(o, "agrees")),
         least(number(o, "least")), faded(number(o, "faded")), clear(number(o, "clear")),
-        many(number(o, "many")), fine(number(o, "fine")) {}
+        many(number(o, "many")), fine(number(o, "fine")), blocks(number(o, "blocks")),
+        reach(number(o, "reach")) {}
   double depths, nearest, farthest, body, road, sharp, usual, most, agrees, least, faded, clear,
-      many, fine;
+      many, fine, blocks, reach;
 };
 
 // Blocks that move along their epipolar lines, below the horizon.
@@ -294,20 +295,20 @@ Blocks without(const Blocks& from, const Blocks& those) {
   return left;
 }
 
-py::tuple with_bodies(const py::object& field, const py::object& members_, const py::object& first_,
-                      std::int64_t width, std::int64_t height, std::int64_t least, double reach,
+py::tuple with_bodies(const py::object& field, std::int64_t width, std::int64_t height,
                       const py::object& constants) {
   constexpr auto kernel = "with_bodies";
   const In<double> x(kernel, "x", field.attr("x"), {ANY, 2});
   const auto n = x.size();
   const In<double> block(kernel, "block", field.attr("block"), {n, 2}),
-      rho(kernel, "rho", field.attr("rho"), {n}), sigma(kernel, "sigma", field.attr("sigma"), {n}),
+      rho(kernel, "rho", field.attr("rho"), {n}), sigma(kernel, "noise", field.attr("noise"), {n}),
       under(kernel, "under", field.attr("under"), {n});
   const In<bool> below(kernel, "below", field.attr("below"), {n}),
       fits(kernel, "fits", field.attr("fits"), {n});
-  const In<std::int64_t> members(kernel, "members", members_, {ANY}),
-      first(kernel, "first", first_, {ANY});
+  const In<std::int64_t> members(kernel, "members", field.attr("members"), {ANY}),
+      first(kernel, "first", field.attr("first"), {ANY});
   check_first(kernel, first, members.size());
+  const BodyRules rules(constants);
   std::vector<Blocks> others, own;
   std::vector<char> free(n);
   for (py::ssize_t i = 0; i < n; ++i) free[i] = fits[i] && under[i] > 0;
@@ -324,8 +325,8 @@ py::tuple with_bodies(const py::object& field, const py::object& members_, const
   Seen seen{x.data(), block.data(), rho.data(), sigma.data(), under.data(), {}};
   for (py::ssize_t i = 0; i < n; ++i)
     if (free[i]) seen.at.push_back(i);
-  for (const auto& body : bodies_of(seen, width, height, BodyRules(constants))) {
-    if (static_cast<std::int64_t>(body.size()) < least) continue;
+  for (const auto& body : bodies_of(seen, width, height, rules)) {
+    if (body.size() < rules.blocks) continue;
     std::vector<Blocks> left;
     Blocks beside;
     for (const auto& region : own) {
@@ -333,10 +334,10 @@ py::tuple with_bodies(const py::object& field, const py::object& members_, const
       beside.insert(beside.end(), left.back().begin(), left.back().end());
     }
     // What surrounds a larger one is no body: its vectors are pulled along.
-    if (beside.size() > body.size() && distance(x.data(), body, beside) < reach) continue;
+    if (beside.size() > body.size() && distance(x.data(), body, beside) < rules.reach) continue;
     own.clear();
     for (auto& region : left)
-      if (static_cast<std::int64_t>(region.size()) >= least) own.push_back(std::move(region));
+      if (region.size() >= rules.blocks) own.push_back(std::move(region));
     own.push_back(body);
   }
   others.insert(others.end(), own.begin(), own.end());

@@ -211,8 +211,9 @@ struct LandRules {
 // How much rather a region shows still land at another height than one depth, as chi-square: land
 // looks farther than the plane of the road, as a car ahead does, but its inverse depth grows from
 // row to row as the road's does, in one proportion. Above the horizon nothing is told.
-double land_rather(const In<double>& rho, const In<double>& sigma, const std::vector<double>& under,
-                   py::ssize_t begin, py::ssize_t end, const LandRules& rules) {
+double land_rather(const std::vector<double>& rho, const std::vector<double>& sigma,
+                   const std::vector<double>& under, py::ssize_t begin, py::ssize_t end,
+                   const LandRules& rules) {
   // The capped squared error of the best multiple of a shape, reweighted as of Geman and McClure.
   const auto misfit = [&](bool is_land, double& scale) {
     std::vector<double> own(end - begin), weight(end - begin);
@@ -243,18 +244,32 @@ double land_rather(const In<double>& rho, const In<double>& sigma, const std::ve
   return share > 0 ? std::max(body - land, 0.0) / rules.dependence : 0;
 }
 
-py::tuple region_outlines(const py::object& blocks, const py::object& K_, const py::object& ground_,
-                          const py::object& level_, const py::object& constants) {
+py::tuple region_outlines(const py::object& regions, const py::object& K_,
+                          const py::object& ground_, const py::object& level_,
+                          const py::object& constants) {
   constexpr auto kernel = "region_outlines";
-  const In<double> x(kernel, "x", blocks.attr("x"), {ANY, 2});
-  const auto n = x.size();
-  const In<double> block(kernel, "block", blocks.attr("block"), {n, 2}),
-      shift(kernel, "vector", blocks.attr("vector"), {n, 2}),
-      turn(kernel, "turned", blocks.attr("turned"), {n, 2}),
-      rho(kernel, "rho", blocks.attr("rho"), {n}),
-      sigma(kernel, "sigma", blocks.attr("sigma"), {n});
-  const In<std::int64_t> first(kernel, "first", blocks.attr("first"), {ANY});
+  const In<double> all_x(kernel, "x", regions.attr("x"), {ANY, 2});
+  const auto all = all_x.size();
+  const In<double> x_prev(kernel, "x_prev", regions.attr("x_prev"), {all, 2}),
+      all_block(kernel, "block", regions.attr("block"), {all, 2}),
+      parallax(kernel, "parallax", regions.attr("parallax"), {all, 2}),
+      all_rho(kernel, "rho", regions.attr("rho"), {all}),
+      noise(kernel, "noise", regions.attr("noise"), {all});
+  const In<std::int64_t> members(kernel, "members", regions.attr("members"), {ANY}),
+      first(kernel, "first", regions.attr("first"), {ANY});
+  const auto n = members.size();
   check_first(kernel, first, n);
+  std::vector<double> rho(n), sigma(n);
+  for (py::ssize_t i = 0; i < n; ++i) {
+    require(members[i] >= 0 && members[i] < all, kernel, "members must be blocks");
+    rho[i] = all_rho[members[i]];
+    sigma[i] = noise[members[i]];
+  }
+  const auto x = [&](py::ssize_t i, int a) { return all_x(members[i], a); };
+  const auto block = [&](py::ssize_t i, int a) { return all_block(members[i], a); };
+  const auto shift = [&](py::ssize_t i, int a) { return x_prev(members[i], a) - x(i, a); };
+  // The part of the vector that the camera's rotation makes.
+  const auto turn = [&](py::ssize_t i, int a) { return shift(i, a) + parallax(members[i], a); };
   const Mat3 K = matrix(kernel, "K", K_), K_inverse = inverse(K);
   const Vec3 ground = vector(kernel, "ground", ground_), level = vector(kernel, "level", level_);
   const double covered = number(constants, "covered"), macroblock = number(constants, "macroblock"),
@@ -323,12 +338,12 @@ py::tuple region_outlines(const py::object& blocks, const py::object& K_, const 
                         filled.array(), near.array(), land.array(), kinds.array(), turned.array());
 }
 
-// Columns of all blocks of the picture, movers/score.py's Seen.
+// Columns of all blocks of the picture, as of movers/regions.py.
 struct SeenBlocks {
   SeenBlocks(const char* kernel, const py::object& seen)
       : x(kernel, "x", seen.attr("x"), {ANY, 2}),
         rho(kernel, "rho", seen.attr("rho"), {x.size()}),
-        sigma(kernel, "sigma", seen.attr("sigma"), {x.size()}),
+        sigma(kernel, "noise", seen.attr("noise"), {x.size()}),
         under(kernel, "under", seen.attr("under"), {x.size()}),
         copied(kernel, "copied", seen.attr("copied"), {x.size()}) {
     for (py::ssize_t i = 0; i < x.size(); ++i) {

@@ -31,16 +31,8 @@ class MotionFit:
 def from_essential_matrix(rays_cur, rays_prev, threshold, confidence=0.999):
     """Return motions (R, t) of the best essential matrix, five points under USAC-MAGSAC.
 
-    Parameters
-    ----------
-    rays_cur, rays_prev : (N, 3) arrays
-    threshold : float
-        Largest error of an inlier, in ray units (px / focal length).
-
-    Returns
-    -------
-    motions : list of (R (3, 3), t (3,))
-        R_cur_from_prev and unit t_cur_from_prev; empty where no model was found.
+    Of rays (N, 3); ``threshold`` is the largest error of an inlier in their units (px / focal
+    length). R_cur_from_prev (3, 3) and unit t_cur_from_prev (3,); none where no model was found.
     """
     E, _ = cv2.findEssentialMat(
         rays_prev[:, :2].copy(), rays_cur[:, :2].copy(), np.eye(3), method=cv2.USAC_MAGSAC,
@@ -55,17 +47,12 @@ def from_essential_matrix(rays_cur, rays_prev, threshold, confidence=0.999):
 def refined_from(pair: two_view.Pair, R, t) -> MotionFit:
     """Minimise the Sampson error over rotation and direction, (5) of [MVO], from a start.
 
-    The direction gets the sign that puts most blocks before the camera, the majority vote of
-    [MVO] 4.2, each counting by its parallax in standard deviations: a far block's is noise.
+    The direction gets the sign that puts most blocks before the camera, the majority vote of [MVO]
+    4.2, each counting by its parallax in standard deviations: a far block's is noise.
 
     Levenberg-Marquardt over five unknowns with the analytic Jacobian and a Geman-McClure kernel
-    whose width shrinks to ``2 sigma``, so that a poor start still finds its support.
-
-    Parameters
-    ----------
-    pair : Pair
-    R, t : (3, 3), (3,) arrays
-        Start; t is a unit vector.
+    whose width shrinks to ``2 sigma``, so that a poor start R (3, 3), unit t (3,) still finds its
+    support.
     """
     return MotionFit(*compiled.refine_motion(*two_view.columns(pair, R, t), WIDTHS, SETTLED))
 
@@ -73,13 +60,8 @@ def refined_from(pair: two_view.Pair, R, t) -> MotionFit:
 def turn(pair: two_view.Pair, R, steps: int = 6):
     """Fit a rotation without any translation, from a start R (3, 3).
 
-    Returns
-    -------
-    R_cur_from_prev : (3, 3) array
-    covariance : (6, 6) array
-        As in MotionFit, zero for the direction, which there is none of.
-    off : (N,) array
-        Distance of each match from where the rotation puts it, in standard deviations.
+    Returns R_cur_from_prev, its covariance (6, 6) as in MotionFit, zero for the direction, which
+    there is none of, and how far (N,) each match is from where the rotation puts it [sigma].
     """
     *view, _ = two_view.columns(pair, R, np.zeros(3))
     R, information, off = compiled.fit_turn(*view, steps)

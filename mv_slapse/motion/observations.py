@@ -91,17 +91,8 @@ def observe(pair: two_view.Pair, fit: MotionFit, epsilon_f: float, epsilon_m: fl
             relief: float) -> BlockObservations:
     """Judge each correspondence under a camera motion.
 
-    Parameters
-    ----------
-    pair : Pair
-    fit : MotionFit
-        Oriented motion.
-    epsilon_f : float
-        Largest epipolar error of an inlier in standard deviations, (3).
-    epsilon_m : float
-        Smallest parallax of a block not at infinity [px], (7).
-    relief : float
-        Depth of a surface about its plane, as a share of depth.
+    Limits are the largest epipolar error of an inlier [sigma], (3), the smallest parallax of a
+    block not at infinity [px], (7), and the depth of a surface about its plane, a share of depth.
     """
     return BlockObservations(pair, *compiled.observe_blocks(
         *two_view.columns(pair, fit.R_cur_from_prev, fit.t_cur_from_prev),

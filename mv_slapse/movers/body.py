@@ -29,51 +29,18 @@ class Rules(NamedTuple):
     clear: float = 1.5  # and of each of its blocks: what lies beside a body is pulled along
     many: float = 6.0  # bodies of one pair that are looked at
     fine: float = 2.0**20  # steps of a log-likelihood of 1 in which those of a window are summed
+    blocks: float = 4.0  # of a body at least
+    reach: float = 24.0  # px between centres of neighbours
 
 
 RULES = Rules()
 
 
-class Field(NamedTuple):
-    """What single blocks (N,) tell."""
-
-    x: np.ndarray  # (N, 2): centres [px]
-    block: np.ndarray  # (N, 2): sizes [px]
-    rho: np.ndarray  # (N,): apparent inverse depths [1/baseline]
-    sigma: np.ndarray  # (N,): what noise makes of them [1/baseline]
-    under: np.ndarray  # (N,): the ground's there [1/baseline]
-    below: np.ndarray  # (N,) bool: whether each looks farther than the ground by itself
-    fits: np.ndarray  # (N,) bool: whether it moves along its epipolar line
-
-
-class Least(NamedTuple):
-    """What makes a region: number of blocks, distance of neighbours [px]."""
-
-    blocks: int = 4
-    reach: float = 24.0
-
-
-REGION = Least()
-
-
-def with_bodies(field: Field, members: np.ndarray, first: np.ndarray, size: tuple[int, int],
-                least: Least = REGION) -> tuple[np.ndarray, np.ndarray]:
+def with_bodies(regions, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Return regions with the bodies that only together look farther than the ground.
 
     A body takes the blocks of regions that clearly look farther; those of others it leaves alone.
-
-    Parameters
-    ----------
-    field : Field
-    members, first : (M,) int64, (R,) int64
-        Blocks of one region after the other, and where each begins.
-    size : (int, int)
-        Width and height of the picture [px].
-    least : Least
-
-    Returns
-    -------
-    members, first : (M,) int64, (R,) int64
-        The same of the regions that are left, and of the bodies.
+    Of ``regions`` x, block, rho, noise, under, below, fits, members and first are read, as of
+    movers.regions; ``size`` is the picture's width and height [px]. Returns members and first.
     """
-    return compiled.with_bodies(field, members, first, *size, *least, RULES)
+    return compiled.with_bodies(regions, *size, RULES)

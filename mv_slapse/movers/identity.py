@@ -65,15 +65,7 @@ class Memory:
             np.ascontiguousarray(extraction.x_prev, float), LIFETIME))
 
     def after(self, extraction: Extraction, judged: Judged, next_id: int) -> 'Memory':
-        """Return what is known after a pair; blocks without a vector keep FADING of their scores.
-
-        Parameters
-        ----------
-        extraction : Extraction
-        judged : Judged
-            What it tells of its blocks.
-        next_id : int
-        """
+        """Return what is known after a pair; without a vector FADING of a score is left."""
         seconds = (extraction.stamp - extraction.previous_stamp) / SECOND
         return Memory(extraction.stamp, *compiled.remembered(
             self, extraction.stamp, extraction.width, extraction.height, judged, seconds, FADING,
@@ -84,16 +76,8 @@ def ids_of(size: np.ndarray, moves: np.ndarray, before: np.ndarray, next_id: int
            ) -> tuple[np.ndarray, int]:
     """Return the ids (R,) of regions that move, -1 of others, and the next id.
 
-    A region keeps the id of what it comes from, the largest first; else its id is new.
-
-    Parameters
-    ----------
-    size : (R,) array
-        Blocks of each.
-    moves : (R,) bool array
-    before : (R,) array
-        Id of what each comes from, -1 for none.
-    next_id : int
+    A region keeps the id ``before`` (R,) of what it comes from, -1 for none, the largest by its
+    ``size`` (R,) in blocks first; else its id is new.
     """
     ids, taken = np.full(len(size), -1), set()
     for i in sorted(np.flatnonzero(moves), key=lambda i: -size[i]):

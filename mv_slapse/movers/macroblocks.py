@@ -8,14 +8,9 @@ import numpy as np
 def vote(extraction: Extraction, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return label (M,) int8 and plane (M,) int32 of each macroblock, row by row; -1: none.
 
-    Partitions vote with their area. Wrong vectors (UNKNOWN) do not vote; of equal votes the lower
-    label wins. The plane is the one with most of the winners' area.
-
-    Parameters
-    ----------
-    extraction : Extraction
-    x : (N, 2) float32
-        Where its blocks are in the picture [px]: an extraction's own pixels are undistorted.
+    Partitions vote with their area, at pixels x (N, 2) float32 of the picture: an extraction's own
+    are undistorted. Wrong vectors (UNKNOWN) do not vote; of equal votes the lower label wins. The
+    plane is the one with most of the winners' area.
     """
     return compiled.vote_macroblocks(
         np.ascontiguousarray(x, np.float32), np.ascontiguousarray(extraction.block, np.uint8),

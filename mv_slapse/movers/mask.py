@@ -55,14 +55,9 @@ class Silhouettes:
         self._known: dict[int, _Silhouette] = {}
 
     def fill(self, extraction: Extraction, correspondences: Correspondences) -> Extraction:
-        """Return an extraction with its macroblocks labelled.
+        """Return an extraction with its macroblocks labelled, by the same blocks' pixels.
 
         Movers hold the macroblocks without a vector that they cover.
-
-        Parameters
-        ----------
-        extraction, correspondences : Extraction, Correspondences
-            Of the same key frame, row by row of the same blocks.
         """
         size, stamp = (extraction.width, extraction.height), extraction.stamp
         label, plane = vote(extraction, correspondences.x_cur)

@@ -85,17 +85,10 @@ class Surfaces(NamedTuple):
 
 
 def fit_surfaces(regions: Regions, view: View, ground: np.ndarray | None) -> Surfaces:
-    """Estimate rate and slope of each region: robust Gauss-Newton, (12) of [MVO].
+    """Estimate rate and slope of each region, one at least: robust Gauss-Newton, (12) of [MVO].
 
-    A prior holds each plane upright: its normal ~ w is perpendicular to the ground's.
-
-    Parameters
-    ----------
-    regions : Regions
-        At least one.
-    view : View
-    ground : (3,) array or None
-        Ground plane n / d in camera k, any unit: it tells what is upright.
+    A prior holds each plane upright: its normal ~ w is perpendicular to the ground's, ``ground``
+    (3,), n / d in camera k in any unit.
     """
     down = LEVEL if ground is None else ground / np.linalg.norm(ground)
     rules = Rules(upright_sigma=UPRIGHT_SIGMA[ground is not None])
@@ -106,7 +99,8 @@ def settled(fit: Surfaces, x_cur: np.ndarray, block: np.ndarray, view: View,
             ground: np.ndarray | None) -> MovingPlane | None:
     """Return the MovingPlane of a fit of one region, or None where too few vectors agree.
 
-    Arguments as of fit_moving_plane and fit_surfaces.
+    ``x_cur`` and ``block`` (N, 2) are its blocks' centres and sizes [px]; ``ground`` (3,) is n / d
+    in camera k in the unit of the view's translation.
     """
     inlier, theta, centre = fit.inlier, fit.theta[0], fit.centre[0]
     if inlier.sum() < max(MIN_BLOCKS, 0.5 * len(x_cur)) or not np.all(np.isfinite(theta)):

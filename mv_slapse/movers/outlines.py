@@ -28,19 +28,6 @@ class Rules(NamedTuple):
 RULES = Rules()
 
 
-class Blocks(NamedTuple):
-    """Blocks of one region after the other."""
-
-    x: np.ndarray  # (N, 2): centres [px]
-    block: np.ndarray  # (N, 2): sizes [px]
-    # (N, 2): where they were in the previous key frame, from where they are [px]
-    vector: np.ndarray
-    turned: np.ndarray  # (N, 2): the part of that which the camera's rotation makes [px]
-    rho: np.ndarray  # (N,): apparent inverse depths [1/baseline]
-    sigma: np.ndarray  # (N,): what noise makes of them [1/baseline]
-    first: np.ndarray  # (R,) int64: where each region begins
-
-
 class Outlines(NamedTuple):
     """Where regions lie in the picture; R of them."""
 
@@ -63,21 +50,13 @@ class Outlines(NamedTuple):
     limit: np.ndarray
 
 
-def outlines(blocks: Blocks, K: np.ndarray, ground: np.ndarray | None,
-             level: np.ndarray | None, camera_height: float) -> Outlines:
-    """Return the Outlines of regions.
+def outlines(regions, K: np.ndarray, ground: np.ndarray | None, level: np.ndarray | None,
+             camera_height: float) -> Outlines:
+    """Return the Outlines of regions, as of movers.regions.
 
-    Parameters
-    ----------
-    blocks : Blocks
-    K : (3, 3) array
-    ground : (3,) array or None
-        Ground plane n / d in camera k [1/baseline].
-    level : (3,) array or None
-        The same at any length, where only the horizon is known.
-    camera_height : float
-        Above the ground [m].
+    ``ground`` (3,) is n / d in camera k [1/baseline], ``level`` the same at any length, where only
+    the horizon is known; the camera's height above the ground is in metres.
     """
     ground, level = (NOT_KNOWN if up is None else up for up in (ground, level))
-    return Outlines(*compiled.region_outlines(blocks, K, ground, level, RULES),
+    return Outlines(*compiled.region_outlines(regions, K, ground, level, RULES),
                     np.array([WIDEST, TALLEST, LOWEST]) / camera_height)

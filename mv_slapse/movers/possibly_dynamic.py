@@ -32,12 +32,8 @@ class BlockDepths(NamedTuple):
 def like_movers(shown: Extraction, parallax: np.ndarray) -> np.ndarray:
     """Return the blocks (N,) bool on no plane, around a mover, that move as it does.
 
-    Parameters
-    ----------
-    shown : Extraction
-        With motion, labels and moving planes.
-    parallax : (N,) array
-        Lengths of its vectors without the camera's rotation [px].
+    ``shown`` has motion, labels and moving planes; ``parallax`` (N,) are the lengths of its
+    vectors without the camera's rotation [px].
     """
     found = np.zeros(len(shown.x_cur), bool)
     movers = [plane for plane in shown.planes if plane.label is Label.MOVING]
@@ -64,17 +60,10 @@ def _around(x):
 
 
 def below(seen: BlockDepths, floor: np.ndarray, spread: float = 0.0) -> np.ndarray:
-    """Return the blocks (N,) bool that look farther than the ground that they hide.
+    """Return the blocks (N,) bool that look farther than the ground (3,) that they hide.
 
     Nothing still can be there, whatever it is: what drives ahead shows itself so at once.
-
-    Parameters
-    ----------
-    seen : BlockDepths
-    floor : (3,) array
-        Ground n / d in camera k [|t|].
-    spread : float
-        Standard deviation of the logarithm of its depth.
+    ``spread`` is the standard deviation of the logarithm of the ground's depth.
     """
     return seen.rho + 2 * seen.blur < DEEP * np.exp(-2 * spread) * -(seen.rays @ floor)
 

@@ -47,16 +47,9 @@ class Past:
     X: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def carried(self, stamp: int, R: np.ndarray, t: np.ndarray, log_ratio: float) -> 'Past':
-        """Return it in the camera of the next key frame, without what is too old by then.
+        """Return it in the camera of the next key frame at ``stamp`` [ns], without what is old.
 
-        Parameters
-        ----------
-        stamp : int
-            Of the key frame [ns].
-        R, t : (3, 3), (3,) arrays
-            X_cur = R X_prev + t, |t| = 1.
-        log_ratio : float
-            Of this baseline over the last.
+        X_cur = R X_prev + t, |t| = 1 = exp(log_ratio) old baselines.
         """
         return Past(*compiled.carry_points(self.stamp, self.X, stamp, OLDEST, R, t,
                                            float(np.exp(-log_ratio))))
@@ -83,16 +76,9 @@ def departure(past: Past, extraction: Extraction, depths: Depths,
     """Return how much rather blocks (N,) have left where they stood than not, log-likelihoods.
 
     Positive: a block is farther than all that stood there a while ago. 0: nothing is known.
-
-    Parameters
-    ----------
-    past : Past
-        Carried to the extraction's key frame.
-    extraction : Extraction
-    depths : Depths
-        Of its blocks, as if they stood still [1/baseline]; 0 where that is unknown.
-    ground : (3,) array, optional
-        Ground plane n / d in camera k [1/baseline]: no vehicle stood below it.
+    ``past`` is carried to the extraction's key frame; ``depths`` are those of its blocks, as if
+    they stood still [1/baseline]; 0 where that is unknown. No vehicle stood below the ``ground``
+    (3,).
     """
     return compiled.departures(past, depths, np.zeros(3) if ground is None else ground,
                                extraction.K, extraction.stamp, extraction.width,

@@ -24,8 +24,8 @@ from mv_slapse.movers.moving_plane import (
     Surfaces,
     View,
 )
-from mv_slapse.movers.outlines import Blocks, NOT_KNOWN, outlines, REPEATED
-from mv_slapse.movers.score import departures, scores, Seen
+from mv_slapse.movers.outlines import NOT_KNOWN, outlines, REPEATED
+from mv_slapse.movers.score import departures, scores
 from mv_slapse.records import Extraction, Label, MotionStatus, PlaneObservation
 import numpy as np
 
@@ -76,7 +76,19 @@ class KnownGround(NamedTuple):
 
 
 class _Pair(NamedTuple):
-    """Columns of the blocks (N,) of a pair; ``wrong``: nothing still explains the vector."""
+    """Columns of the blocks (N,) of a pair."""
+
+    x: np.ndarray  # (N, 2): centres [px]
+    x_prev: np.ndarray  # (N, 2): their matches [px]
+    block: np.ndarray  # (N, 2): sizes [px]
+    sigma: np.ndarray  # (N,): of the vectors [px]
+    departure: np.ndarray  # (N,): as of with_moving_planes
+    plane_id: np.ndarray  # (N,) int32
+    wrong: np.ndarray  # (N,) bool: nothing still explains the vector
+
+
+class _Alike(NamedTuple):
+    """The same, their motion without rotation, and regions (R,) of those that move alike."""
 
     x: np.ndarray
     x_prev: np.ndarray
@@ -85,29 +97,17 @@ class _Pair(NamedTuple):
     departure: np.ndarray
     plane_id: np.ndarray
     wrong: np.ndarray
-
-
-class _Alike(NamedTuple):
-    """Motion of all blocks (N,) without rotation, and regions (R,) of those that move alike.
-
-    ``ground_like`` blocks move as the ground does and have not left where they stood, ``far`` ones
-    above the horizon do not move, ``copied`` ones repeat a neighbour that nothing still explains,
-    ``below`` ones look farther than the ground that they would hide; those that ``fits`` tells of
-    move along their epipolar lines.
-    ``members`` (M,) are the blocks of one region after the other, which begin at ``first`` (R,).
-    """
-
-    parallax: np.ndarray
-    rho: np.ndarray
-    noise: np.ndarray
-    under: np.ndarray
-    ground_like: np.ndarray
-    far: np.ndarray
-    copied: np.ndarray
-    below: np.ndarray
-    fits: np.ndarray
-    members: np.ndarray
-    first: np.ndarray
+    parallax: np.ndarray  # (N, 2) [px]
+    rho: np.ndarray  # (N,): apparent inverse depth [1/baseline]
+    noise: np.ndarray  # (N,): what noise makes of it
+    under: np.ndarray  # (N,): inverse depth of the ground there
+    ground_like: np.ndarray  # (N,) bool: moves as the ground does and has not left where it stood
+    far: np.ndarray  # (N,) bool: above the horizon, without motion
+    copied: np.ndarray  # (N,) bool: repeats a neighbour that nothing still explains
+    below: np.ndarray  # (N,) bool: looks farther than the ground that it would hide
+    fits: np.ndarray  # (N,) bool: moves along its epipolar line
+    members: np.ndarray  # (M,) int64: the blocks of one region after the other
+    first: np.ndarray  # (R,) int64: where each region begins
 
     @property
     def size(self) -> np.ndarray:
@@ -140,41 +140,29 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
                        ) -> tuple[Extraction, Memory]:
     """Add the moving planes of a pair to what was found stationary in it.
 
-    Parameters
-    ----------
-    extraction : Extraction
-        With motion, labels, and the ids of stationary planes.
-    memory : Memory
-        What the last call returned.
-    threshold : float
-        Score from which on a region is called moving; chi-square beyond its mean.
-    ground : KnownGround
-    departure : (N,) array, optional
-        As of movers.reference_depth.departure.
-
-    Returns
-    -------
-    extraction : Extraction
-        Blocks of moving regions are labelled MOVING with the plane's id.
-    memory : Memory
-        For the next pair.
+    The extraction has motion, labels, and the ids of stationary planes; ``memory`` is what the
+    last call returned. From the score ``threshold`` on, chi-square beyond its mean, a region is
+    called moving: its blocks are labelled MOVING with the plane's id. ``departure`` (N,) is as of
+    movers.reference_depth.departure. Returns extraction and memory.
     """
     pair = _pair(extraction, departure)
     motion = extraction.motion
     view = View(extraction.K, np.ascontiguousarray(motion.R_cur_from_prev, float),
                 np.ascontiguousarray(motion.t_cur_from_prev, float))
     alike = _regions(extraction, pair, view, ground)
-    fit = _fitted(pair, alike, view, ground)
-    now = _scored(pair, alike, fit, view, ground)
-    told = _summed(extraction, pair, alike, now, memory, ground)
-    moves = _moves(pair, alike, told, threshold, ground)
+    fit = _fitted(alike, view, ground)
+    now = _scored(alike, fit, view, ground)
+    # A parked car that starts keeps the id of its plane.
+    told = _Scores(*compiled.histories(alike, *now, memory.inherited(extraction), pair.plane_id,
+                                       ground.id, RULES))
+    moves = _moves(alike, told, threshold, ground)
     size = alike.size
     ids, next_id = ids_of(size, moves, told.known, memory.next_id)
     known = np.full(len(pair.x), -1)
     known[alike.members] = np.repeat(ids, size)
     planes = {i: plane for i in sorted(np.flatnonzero(ids >= 0), key=lambda i: -size[i])
-              if (plane := _plane(pair, alike, fit, i, view, ground)) is not None}
-    found = _labelled(extraction, pair, alike, planes, ids, told, view) if planes else extraction
+              if (plane := _plane(alike, fit, i, view, ground)) is not None}
+    found = _labelled(extraction, alike, planes, ids, told, view) if planes else extraction
     judged = Judged(pair.x, pair.x_prev, pair.block, told.score, told.left, known)
     return found, memory.after(extraction, judged, next_id)
 
@@ -195,54 +183,41 @@ def _regions(extraction, pair, view, ground):
     """
     seconds = 1e-9 * (extraction.stamp - extraction.previous_stamp)
     growth = GROWTH * seconds * (extraction.motion.status is MotionStatus.STANDSTILL)
-    alike = _Alike(*compiled.moving_regions(
+    alike = _Alike(*pair, *compiled.moving_regions(
         pair, view, NOT_KNOWN if ground.plane is None else ground.plane, ground.nearer, growth,
         RULES))
     if ground.plane is None:
         return alike
-    members, first = body.with_bodies(
-        body.Field(pair.x, pair.block, alike.rho, alike.noise, alike.under, alike.below,
-                   alike.fits), alike.members, alike.first,
-        (extraction.width, extraction.height), body.Least(int(RULES.least), RULES.reach))
+    members, first = body.with_bodies(alike, (extraction.width, extraction.height))
     return alike._replace(members=members, first=first)
 
 
-def _fitted(pair, alike, view, ground) -> Surfaces:
+def _fitted(alike, view, ground) -> Surfaces:
     """Return the moving planes of all regions."""
     at = alike.members
     parallax = alike.parallax.take(at, 0)
     shape = SHAPE * np.hypot(parallax[:, 0], parallax[:, 1])
-    sigma = np.hypot(np.maximum(pair.sigma[at], LEAST_SIGMA), shape)
-    return fit_surfaces(Regions(pair.x.take(at, 0), pair.x_prev.take(at, 0), sigma, alike.first),
+    sigma = np.hypot(np.maximum(alike.sigma[at], LEAST_SIGMA), shape)
+    return fit_surfaces(Regions(alike.x.take(at, 0), alike.x_prev.take(at, 0), sigma, alike.first),
                         view, ground.plane)
 
 
-def _scored(pair, alike, fit, view, ground):
+def _scored(alike, fit, view, ground):
     """Return the scores (R,), (R,) of each region in this pair; 0 where no plane fits.
 
     That it moves, and that it has left where it stood.
     """
-    at = alike.members
-    x = pair.x.take(at, 0)
-    vector = pair.x_prev.take(at, 0) - x
-    outline = outlines(
-        Blocks(x, pair.block.take(at, 0), vector, vector + alike.parallax.take(at, 0),
-               alike.rho[at], alike.noise[at], alike.first), view.K, ground.plane,
-        ground.level if ground.plane is None else ground.plane, ground.camera_height)
-    seen = Seen(pair.x, alike.rho, alike.noise, alike.under, alike.copied)
-    likelihood = compiled.departed(pair.departure, alike.rho, alike.under, at, alike.first, RULES)
+    outline = outlines(alike, view.K, ground.plane,
+                       ground.level if ground.plane is None else ground.plane,
+                       ground.camera_height)
+    likelihood = compiled.departed(alike.departure, alike.rho, alike.under, alike.members,
+                                   alike.first, RULES)
     fits = np.isfinite(fit.variance)
-    return (np.where(fits, scores(fit, outline, view.K, view.t, seen, ground.nearer), 0.0),
-            np.where(fits, departures(outline, likelihood, seen), 0.0))
+    return (np.where(fits, scores(fit, outline, view.K, view.t, alike, ground.nearer), 0.0),
+            np.where(fits, departures(outline, likelihood, alike), 0.0))
 
 
-def _summed(extraction, pair, alike, now, memory, ground) -> _Scores:
-    """Sum the scores over the pairs. A parked car that starts keeps the id of its plane."""
-    return _Scores(*compiled.histories(alike, *now, memory.inherited(extraction), pair.plane_id,
-                                       ground.id, RULES))
-
-
-def _moves(pair, alike, told, threshold, ground):
+def _moves(alike, told, threshold, ground):
     """Return which regions (R,) move.
 
     What was called moving is given up later than it was found. So is what lies beside it and is
@@ -255,7 +230,7 @@ def _moves(pair, alike, told, threshold, ground):
         suspect &= np.maximum.reduceat(alike.under[alike.members], alike.first) > 0
     moves |= suspect & (told.known >= FIRST_ID)
     if np.any(moves) and np.any(suspect & ~moves):
-        x = pair.x[alike.members]
+        x = alike.x[alike.members]
         near = np.concatenate([x[alike.rows(i)] for i in np.flatnonzero(moves)])
         for i in np.flatnonzero(suspect & ~moves):
             apart = np.linalg.norm(x[alike.rows(i)][:, None] - near, axis=2)
@@ -263,26 +238,26 @@ def _moves(pair, alike, told, threshold, ground):
     return moves
 
 
-def _plane(pair, alike, fit, i, view, ground) -> MovingPlane | None:
+def _plane(alike, fit, i, view, ground) -> MovingPlane | None:
     """Return the moving plane of region i, its gauge settled."""
     rows = alike.rows(i)
     at = alike.members[rows]
-    return settled(fit.only(i, rows), pair.x[at], pair.block[at], view,
+    return settled(fit.only(i, rows), alike.x[at], alike.block[at], view,
                    ground.plane if ground.nearer == 1 else None)
 
 
-def _grown(pair, alike, planes, view):
+def _grown(alike, planes, view):
     """Return the blocks of moving regions and those around that move so, not as the ground."""
     products = np.array([plane.product for plane in planes.values()])
-    members, first = compiled.grown(pair, alike, np.array([*planes]), products, view, RULES)
+    members, first = compiled.grown(alike, alike, np.array([*planes]), products, view, RULES)
     return np.split(members, first[1:])
 
 
-def _labelled(extraction, pair, alike, planes, ids, told, view):
+def _labelled(extraction, alike, planes, ids, told, view):
     """Write the moving planes {region: plane} over blocks' first labels."""
     label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
     found = []
-    for (i, plane), member in zip(planes.items(), _grown(pair, alike, planes, view), strict=True):
+    for (i, plane), member in zip(planes.items(), _grown(alike, planes, view), strict=True):
         label[member] = Label.MOVING
         plane_id[member] = ids[i]
         found.append(PlaneObservation(

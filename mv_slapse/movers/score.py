@@ -57,44 +57,20 @@ class Rules(NamedTuple):
 RULES = Rules()
 
 
-class Seen(NamedTuple):
-    """All blocks of a picture."""
-
-    x: np.ndarray  # (M, 2): centres [px]
-    rho: np.ndarray  # (M,): apparent inverse depths [1/baseline]
-    sigma: np.ndarray  # (M,): what noise makes of them [1/baseline]
-    under: np.ndarray  # (M,): inverse depth of the ground there [1/baseline]
-    copied: np.ndarray  # (M,) bool: whether nothing still moves like that, but a neighbour does
-
-
-def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen: Seen,
+def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen,
            nearer: float = 1.0) -> np.ndarray:
     """Return squared distances (R,) of regions from all that is still, less what noise gives.
 
-    Parameters
-    ----------
-    fit, outline : Surfaces, Outlines
-        Of R regions.
-    K, t : (3, 3), (3,) arrays
-        Intrinsics [px]; translation of the camera, the unit of length.
-    seen : Seen
-        All blocks, in regions or not.
-    nearer : float
-        The ground may be this many times nearer; if so nothing is known to hover over it.
+    ``t`` (3,) is the camera's translation, the unit of length; ``seen`` are all blocks, in regions
+    or not. The ground may be ``nearer`` by a factor; if so nothing is known to hover over it.
     """
     return compiled.region_scores(fit, outline, K, t, seen, nearer == 1, RULES)
 
 
-def departures(outline: Outlines, likelihood: np.ndarray, seen: Seen) -> np.ndarray:
+def departures(outline: Outlines, likelihood: np.ndarray, seen) -> np.ndarray:
     """Return how much rather regions (R,) have left where they stood than not, as chi-square.
 
-    Parameters
-    ----------
-    outline : Outlines
-        Of R regions.
-    likelihood : (R,) array
-        Sum of the log-likelihoods of their blocks, as of movers.reference_depth.departure.
-    seen : Seen
-        All blocks, in regions or not.
+    ``likelihood`` (R,) sums those of their blocks, as of movers.reference_depth.departure;
+    ``seen`` are all blocks, in regions or not.
     """
     return compiled.region_departures(outline, likelihood, seen, RULES)

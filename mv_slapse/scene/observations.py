@@ -71,17 +71,11 @@ def mounted(ground: int, settings: SceneSettings, lasting: np.ndarray) -> list[O
 
 def camera_height(ground: int, height: float, sigma: float,
                   lasting: np.ndarray | float = 0.0) -> Observation:
-    """Observe the camera's height [m] above the ground plane, which sets the scale.
+    """Observe the camera's mean height [m] above the ground plane, which sets the scale.
 
-    The height swings about its mean (see SceneState.heave).
-
-    Parameters
-    ----------
-    ground : int
-    height, sigma : float
-        The mean height and the error of one pair [m].
-    lasting : (N_LASTING,) array or float
-        What each lasting error does to the height [m]; a float: what of it is wrong for good.
+    The height swings about its mean (see SceneState.heave); sigma is the error of one pair [m].
+    ``lasting`` is what each lasting error does to the height [m], (N_LASTING,); a float: what of
+    it is wrong for good.
     """
     error = np.zeros(N_LASTING)
     error[slice(None) if np.ndim(lasting) else HEIGHT] = lasting

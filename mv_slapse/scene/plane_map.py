@@ -123,14 +123,9 @@ class SceneMap:
         """Return the planes to update, after putting new and lost ones into the state afresh.
 
         A plane comes in with next to no prior; its correspondences then determine it, together
-        with everything they are correlated with.
-
-        Parameters
-        ----------
-        known, trusted : sets of int
-            Planes seen that are where they were predicted, and those that may be used.
-        baseline, shown : float, Pose
-            Length [map unit] of the pair's way, and the pose at its end.
+        with everything they are correlated with. Of the planes seen ``known`` are where they were
+        predicted, and ``trusted`` may be used; ``baseline`` is the length [map unit] of the pair's
+        way, and ``shown`` the pose at its end.
         """
         ids = []
         for plane in extraction.planes:

@@ -22,24 +22,10 @@ def update(state: SceneState, start: np.ndarray, pair: two_view.Pair | None, ind
            observations: Sequence[Observation] = ()) -> SceneState:
     """Update with the correspondences of one key frame pair, (19) of [SLAPSE].
 
-    Parameters
-    ----------
-    state : SceneState
-        Predicted state, with every plane of ``ids``.
-    start : (n,) array
-        Error at which to linearise first, see SceneState.error_to.
-    pair : Pair or None
-        Stationary correspondences, if there are any.
-    index : (N,) int array
-        Position in ``ids`` of the plane of each correspondence, -1 for none.
-    settings : SceneSettings
-    observations : sequence of Observation
-        What else is known.
-
-    Returns
-    -------
-    state : SceneState
-        Updated values and covariance.
+    The predicted state has every plane of ``ids``; ``start`` (n,) is the error at which to
+    linearise first, see SceneState.error_to. ``index`` (N,) is the position in ``ids`` of the
+    plane of each stationary correspondence of the pair, if there is one, -1 for none;
+    ``observations`` are what else is known.
     """
     given = None if pair is None else (pair.rays_cur, pair.rays_prev, pair.sigma, index,
                                        pair.focal)

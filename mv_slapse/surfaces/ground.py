@@ -218,25 +218,9 @@ def survey(depths: Depths, vectors: Vectors, prior: GroundPrior, belief: HeightB
            ride: Ride, cut: float):
     """Learn the height from the blocks before the camera, and tell which lone ones are road.
 
-    Parameters
-    ----------
-    depths : Depths
-        Of all blocks, (N,).
-    vectors : Vectors
-    prior : GroundPrior
-        From the pairs before.
-    belief : HeightBelief
-        From the pairs before, in this baseline.
-    ride : Ride
-    cut : float
-        Largest error of a block on the ground, in standard deviations.
-
-    Returns
-    -------
-    belief, prior : HeightBelief, GroundPrior
-        With what this pair shows.
-    road : (N,) bool array
-        Lone blocks on the ground; none where it is not known.
+    ``prior`` and ``belief`` come from the pairs before, the belief in this baseline; ``cut`` is
+    the largest error of a block on the ground [sigma]. Returns both with what this pair shows, and
+    which lone blocks (N,) bool lie on the ground; none where it is not known.
     """
     evidence, lone = vectors.evidence, vectors.unsupported
     way, ahead, drop, ceiling, parallax = compiled.find_way(
@@ -275,7 +259,7 @@ def for_movers(seen: np.ndarray | None, prior: GroundPrior, belief: HeightBelief
 
 def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rules,
                 draws: np.ndarray, lone: np.ndarray | None = None) -> PlaneFit | None:
-    """Find the ground among stationary blocks.
+    """Find the ground among stationary blocks; None where too few agree, or too many lie below.
 
     Level planes through one block and planes through three neighbours are proposed; the one with
     the least truncated squared error is refined. Where the ground is known already it need not be
@@ -283,22 +267,10 @@ def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rul
     below a known ground only blocks that lie alike speak against it. What lies above a ground may
     stand on it; but where most blocks lie elsewhere, chance makes a ground as well.
 
-    Parameters
-    ----------
-    depths : Depths
-    free : (N,) bool array
-        Stationary blocks that are not at infinity.
-    prior : GroundPrior
-        Beyond three standard deviations of it nothing is the ground.
-    draws : (T, 10) array
-        Uniform numbers from 0 to 1, by which T planes of each kind are drawn.
-    lone : (N,) bool array, optional
-        Blocks on a ground that earlier pairs have shown, which need no neighbours.
-
-    Returns
-    -------
-    fit : PlaneFit or None
-        None where too few blocks agree, or too many lie below.
+    Blocks ``free`` (N,) bool are stationary and not at infinity. Beyond three standard deviations
+    of the ``prior`` nothing is the ground. ``draws`` (T, 10) are uniform numbers from 0 to 1, by
+    which T planes of each kind are drawn. ``lone`` (N,) bool are blocks on a ground that earlier
+    pairs have shown, which need no neighbours.
     """
     found = compiled.find_ground(
         *depths.columns, free, np.zeros(len(depths), bool) if lone is None else lone,

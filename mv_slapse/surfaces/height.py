@@ -88,15 +88,9 @@ class HeightBelief:
              ceiling: float) -> 'HeightBelief':
         """Return it after a pair.
 
-        Parameters
-        ----------
-        blocks : RoadBlocks
-        tilt : float
-            Standard deviation of the ground's direction [rad].
-        parallax : float
-            Median of the scene's [px]: what is nearest moves more.
-        ceiling : float
-            Largest height [baseline].
+        ``tilt`` is the standard deviation of the ground's direction [rad], ``parallax`` the median
+        of the scene's [px], as what is nearest moves more, ``ceiling`` the largest height
+        [baseline].
         """
         rays, rho, sigma, x = blocks.depths.columns
         probability = compiled.see_height(

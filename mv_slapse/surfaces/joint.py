@@ -16,17 +16,13 @@ def reestimate(pair: two_view.Pair, motion, planes, index, relief: float, *, ste
 
     Parameters
     ----------
-    pair : Pair
-    motion : (R (3, 3), t (3,))
-        Start, X_cur = R X_prev + t with |t| = 1.
-    planes : (P, 3) array
-        Start, n / d in camera k [1/baseline].
+    motion, planes : (R (3, 3), t (3,)), (P, 3) array
+        Start: X_cur = R X_prev + t with |t| = 1; n / d in camera k [1/baseline].
     index : (N,) int array
         Plane of each correspondence; -1 tells of the motion alone; LEFT_OUT of nothing.
     relief : float
-        See two_view.normal_equations.
-    steps : int
-    expected : sequence of (int, (3,) array, (3, 3) array), optional
+        Standard deviation of a surface's depth about its plane, as a share of depth.
+    expected : sequence of (int, (3,) array, (3, 3) array)
         What is known of a plane beforehand: its number, mean and information.
 
     Returns

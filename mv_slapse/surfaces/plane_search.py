@@ -78,28 +78,12 @@ class Rules:
 
 def stationary_planes(depths: Depths, free: np.ndarray, known: KnownPlanes,
                       up: np.ndarray, rules: Rules, room: int, next_id: int):
-    """Find known planes again, then new ones.
+    """Find known planes again, then new ones: fits with ids, and what to predict to the next pair.
 
-    Parameters
-    ----------
-    depths : Depths
-        All blocks, (N,), with the errors of their vectors only.
-    free : (N,) bool array
-        Blocks that may join a plane.
-    known : KnownPlanes
-        Predicted to this pair.
-    up : (3,) array
-        Unit normal of the ground in camera k.
-    rules : Rules
-    room, next_id : int
-        Most planes to look for; id of the first that is confirmed.
-
-    Returns
-    -------
-    fits : list of PlaneFit
-        Confirmed planes, with ids.
-    known : KnownPlanes
-        To predict to the next pair.
+    ``depths`` are those of all blocks (N,), with the errors of their vectors only; those of them
+    that are ``free`` (N,) bool may join a plane. ``known`` is predicted to this pair; ``up`` (3,)
+    is the unit normal of the ground in camera k. At most ``room`` planes are looked for;
+    ``next_id`` is that of the first that is confirmed.
     """
     nearby = known[~known.is_away] if len(known) else known
     source, seen, plane, covariance, own, own_covariance, member = compiled.find_planes(

@@ -6,9 +6,9 @@ from itertools import islice
 from typing import Any
 
 from mv_slapse.codec.packet import Packet
-from mv_slapse.codec.probe import probe, UNUSABLE, USABLE, WITH_CARE
 from mv_slapse.errors import UnusableInput
 from mv_slapse.tools.inputs import is_from_bag, open_input, RECODED
+from mv_slapse.tools.probe import probe, UNUSABLE, USABLE, WITH_CARE
 
 LABELS = {'codec': 'codec', 'size': 'picture [px]', 'fps': 'rate [1/s]', 'n_frames': 'frames read',
           'references': 'reference frames', 'b_frames': 'B frames in a row',

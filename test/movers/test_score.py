@@ -1,11 +1,13 @@
 """Scores of regions: what is still scores nothing, what cannot be still scores much."""
 
+from typing import NamedTuple
+
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.movers import score as region_scores
 from mv_slapse.movers.moving_plane import fit_surfaces, Regions, View
-from mv_slapse.movers.outlines import Blocks, outlines
-from mv_slapse.movers.score import departures, RULES, scores, Seen
+from mv_slapse.movers.outlines import outlines
+from mv_slapse.movers.score import departures, RULES, scores
 import numpy as np
 import pytest
 
@@ -16,6 +18,46 @@ GROUND = np.array([0.0, -1.0, 0.0]) / HEIGHT
 GRID = np.stack(np.meshgrid(np.arange(7.5, 1200, 16), np.arange(7.5, 370, 16)), -1).reshape(-1, 2)
 FIRST_ROW = 180.0
 STEP, BACK = RULES.step, RULES.back
+
+
+class Seen(NamedTuple):
+    """What scores read of all blocks."""
+
+    x: np.ndarray
+    rho: np.ndarray
+    noise: np.ndarray
+    under: np.ndarray
+    copied: np.ndarray
+
+
+class Blocks(NamedTuple):
+    """What outlines read of a region."""
+
+    x: np.ndarray
+    vector: np.ndarray
+    turned: np.ndarray
+    rho: np.ndarray
+    noise: np.ndarray
+
+    @property
+    def x_prev(self):
+        return self.x + self.vector
+
+    @property
+    def block(self):
+        return np.full(self.x.shape, 16.0)
+
+    @property
+    def parallax(self):
+        return self.turned - (self.x_prev - self.x)
+
+    @property
+    def members(self):
+        return np.arange(len(self.x))
+
+    @property
+    def first(self):
+        return np.zeros(1, int)
 
 
 def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), ground=GROUND,
@@ -41,8 +83,7 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     rho = np.sum(apparent * to_rays(K, x_prev)[:, :2] * t[2], axis=1) / np.maximum(
         np.sum(to_rays(K, x_prev)[:, :2]**2, axis=1), 1e-9)
     vector = x if kinds is None else np.c_[np.arange(len(x)) % kinds, np.zeros(len(x))]
-    blocks = Blocks(x, np.full(x.shape, 16.0), vector, np.tile(turned, (len(x), 1)), rho,
-                    np.full(len(x), 0.002), np.zeros(1, int))
+    blocks = Blocks(x, vector, np.tile(turned, (len(x), 1)), rho, np.full(len(x), 0.002))
     outline = outlines(blocks, K, ground, np.array([0.0, -1.0, 0.0]), camera_height)
     fit = fit_surfaces(regions, View(K, np.eye(3), t), GROUND)
     own = seen_as(x, rho, np.zeros(len(x)))
@@ -215,8 +256,7 @@ def test_where_no_vector_is_copied_a_few_kinds_tell_all():
 def test_what_has_left_scores_by_its_blocks_and_is_no_building(high, likelihood, expected,
                                                                camera_height):
     x = GRID[np.all(np.abs(to_rays(K, GRID)[:, :2] * 12 - (0, HEIGHT - high)) < (1, high), axis=1)]
-    blocks = Blocks(x, np.full(x.shape, 16.0), x, np.zeros(x.shape), np.full(len(x), 1 / 12),
-                    np.full(len(x), 1 / 120), np.zeros(1, int))
+    blocks = Blocks(x, x, np.zeros(x.shape), np.full(len(x), 1 / 12), np.full(len(x), 1 / 120))
     outline = outlines(blocks, K, GROUND, np.array([0.0, -1.0, 0.0]), camera_height)
-    seen = seen_as(x, blocks.rho, np.zeros(len(x)))._replace(sigma=0.1 * blocks.rho)
+    seen = seen_as(x, blocks.rho, np.zeros(len(x)))._replace(noise=0.1 * blocks.rho)
     assert departures(outline, np.array([likelihood]), seen)[0] == pytest.approx(expected)

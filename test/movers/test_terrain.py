@@ -1,6 +1,8 @@
 """Land at another height than the road against bodies, drawn as inverse depths with noise."""
 
-from mv_slapse.movers.outlines import Blocks, outlines
+from types import SimpleNamespace
+
+from mv_slapse.movers.outlines import outlines
 import numpy as np
 import pytest
 
@@ -14,7 +16,8 @@ def land_rather(rho, sigma, under, first):
     """Return how much rather regions show land than a body, by blocks in rows of the road."""
     x = np.c_[16.0 * np.arange(len(rho)), 700 * 1.65 * under]
     nothing = np.zeros_like(x)
-    blocks = Blocks(x, np.full(x.shape, 16.0), nothing, nothing, rho, sigma, first)
+    blocks = SimpleNamespace(x=x, x_prev=x, block=np.full(x.shape, 16.0), parallax=nothing,
+                             rho=rho, noise=sigma, members=np.arange(len(x)), first=first)
     return outlines(blocks, K, np.array([0, -1 / 1.65, 0]), None, 1.65).land
 
 

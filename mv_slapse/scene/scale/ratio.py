@@ -80,12 +80,8 @@ def told(state: SceneState, extraction: Extraction, depths: Depths,
 def holds(state: SceneState, log_ratio: float, sigma: float) -> bool:
     """Tell whether a ratio to the baseline before agrees with the predicted length.
 
-    Parameters
-    ----------
-    state : SceneState
-        Predicted; its ``depth_scale`` is that of the pair before.
-    log_ratio, sigma : float
-        Logarithm of the ratio and its standard deviation; an infinite one is no ratio.
+    The state's ``depth_scale`` is that of the pair before; an infinite sigma of the logarithm of
+    the ratio is no ratio.
     """
     value, H = log_baseline(state)
     H[state.at('depth_scale')] = -1
