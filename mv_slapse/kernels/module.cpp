@@ -9,6 +9,8 @@ void bind_movers(pybind11::module_& module);
 void bind_reference_depth(pybind11::module_& module);
 void bind_region_score(pybind11::module_& module);
 void bind_lattice(pybind11::module_& module);
+void bind_obstacle_detection(pybind11::module_& module);
+void bind_obstacle_motion(pybind11::module_& module);
 void bind_scene(pybind11::module_& module);
 void bind_scene_blocks(pybind11::module_& module);
 void bind_baseline(pybind11::module_& module);
@@ -33,6 +35,8 @@ PYBIND11_MODULE(mv_slapse_kernels, module) {
   bind_reference_depth(module);
   bind_region_score(module);
   bind_lattice(module);
+  bind_obstacle_detection(module);
+  bind_obstacle_motion(module);
   bind_scene(module);
   bind_scene_blocks(module);
   bind_baseline(module);
