@@ -525,7 +525,7 @@ py::tuple redetect_rate(const py::object& mu_, const py::object& prior_, const p
 }  // namespace
 }  // namespace kernels
 
-void bind_obstacle_detection(pybind11::module_& module) {
+void bind_obstacle_detection(kernels::py::module_& module) {
   using namespace kernels;
   module.def("region_box", region_box);
   module.def("body_box", body_box);

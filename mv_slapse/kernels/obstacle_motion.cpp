@@ -103,7 +103,9 @@ std::array<double, n> values(const char* kernel, const char* name, const py::obj
 
 py::array_t<double> array(const double* of, std::initializer_list<py::ssize_t> shape) {
   Out<double> out(shape);
-  std::copy_n(of, out.array().size(), out.data());
+  py::ssize_t size = 1;
+  for (const auto length : shape) size *= length;
+  std::copy_n(of, size, out.data());
   return out.array();
 }
 
@@ -351,7 +353,7 @@ py::tuple correct_elements(const py::object& mu, const py::object& P, const py::
 }  // namespace
 }  // namespace kernels
 
-void bind_obstacle_motion(pybind11::module_& module) {
+void bind_obstacle_motion(kernels::py::module_& module) {
   using namespace kernels;
   module.def("obstacle_to_cartesian", obstacle_to_cartesian);
   module.def("obstacle_from_cartesian", obstacle_from_cartesian);
