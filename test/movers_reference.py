@@ -7,6 +7,7 @@ from mv_slapse.geometry import epipolar, lattice, moving_plane
 from mv_slapse.geometry.blocks import grid_index, grid_shape
 from mv_slapse.geometry.camera import to_pixels, to_rays
 import numpy as np
+import obstacles_reference
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -109,7 +110,7 @@ def fit_one(x, x_prev, sigma, view, down, rules):
         return np.sort(values)[int(np.round(share * (len(values) - 1)))]
 
     def errors(theta):
-        at, jacobian = moving_plane.transfer(theta, rays, centre, view.K, view.R)
+        at, jacobian = obstacles_reference.transfer(theta, rays, centre, view.K, view.R)
         return (x_prev - at) / sigma[:, None], jacobian / sigma[:, None, None]
 
     rays = to_rays(view.K, x)

@@ -5,6 +5,7 @@ noise Q and R, innovation z - h(mu).
 """
 
 from collections.abc import Hashable
+from functools import cache
 
 from mv_slapse.kernels.binding import compiled
 import numpy as np
@@ -90,29 +91,12 @@ def estimate_again(state: State, column: int):
     state.lasting[:, column] = 0
 
 
-def predict(state: State, mu: np.ndarray, F: np.ndarray, Q: np.ndarray):
-    """Move the state to its predicted mean mu = f(state.mu), where F = df/dmu at state.mu."""
-    state.mu = mu
-    state.P = _symmetric(F @ state.P @ F.T + Q)
-    state.lasting = F @ state.lasting
-
-
 def predict_rows(state: State, rows: np.ndarray, F: np.ndarray, Q: np.ndarray):
     """Move the covariance where the transition is the identity but for r rows (r,) int.
 
     F (r, n) holds these rows of df/dmu, Q (r, r) their noise; the mean stays.
     """
     state.P, state.lasting = compiled.predict_rows(state.P, state.lasting, rows, F, Q)
-
-
-def update(state: State, innovation: np.ndarray, H: np.ndarray, R: np.ndarray):
-    """Correct the state by an innovation z - h(mu), where H = dh/dmu; Joseph form."""
-    S = H @ state.P @ H.T + R
-    K = np.linalg.solve(S, H @ state.P).T
-    I_KH = np.eye(len(state.mu)) - K @ H
-    state.mu = state.mu + K @ innovation
-    state.P = _symmetric(I_KH @ state.P @ I_KH.T + K @ R @ K.T)
-    state.lasting = I_KH @ state.lasting
 
 
 def repair(state: State) -> bool:
@@ -134,9 +118,11 @@ def repair(state: State) -> bool:
 
 def squared_distance(innovation: np.ndarray, S: np.ndarray) -> float:
     """Return the squared Mahalanobis distance of an innovation with covariance S."""
-    return float(innovation @ np.linalg.solve(S, innovation))
+    solved = compiled.ldlt_solve(np.ascontiguousarray(S), innovation)
+    return np.inf if solved is None else float(innovation @ solved)
 
 
+@cache
 def chi2_bound(confidence: float, dof: int) -> float:
     """Return what a squared distance of ``dof`` dimensions stays below at a confidence."""
     return float(2 * gammaincinv(dof / 2, confidence))

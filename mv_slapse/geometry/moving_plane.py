@@ -44,25 +44,6 @@ def weights(slope: np.ndarray, centre: np.ndarray) -> np.ndarray:
     return np.array([slope[0], slope[1], 1 - slope @ centre])
 
 
-def transfer(theta: np.ndarray, rays: np.ndarray, centre: np.ndarray, K: np.ndarray,
-             R_cur_from_prev: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a moving plane's points were in the previous key frame, (11) of [MVO].
-
-    ``theta`` (5,), (6,) or (N, 5) holds rate and slope, of one plane or for each of the rays (N,
-    3) of key frame k; ``centre`` (2,) or (N, 2) is the centre's ray. Returns pixels (N, 2) and
-    their derivative (N, 2, 5) by rate and slope.
-    """
-    g, offset, KR = theta[..., RATE], rays[:, :2] - centre, K @ R_cur_from_prev.T
-    w = 1 + np.sum(offset * theta[..., SLOPE], axis=1)
-    x = (rays - w[:, None] * g) @ KR.T
-    by_theta = np.empty((len(rays), 3, 5))
-    by_theta[:, :, RATE] = -w[:, None, None] * KR
-    by_theta[:, :, SLOPE] = -(g @ KR.T)[..., :, None] * offset[:, None, :]
-    x_prev = x[:, :2] / x[:, 2:]
-    lost = by_theta[:, :2] - x_prev[:, :, None] * by_theta[:, 2:]
-    return x_prev, lost / x[:, 2, None, None]
-
-
 def product(theta: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Return ``(t - t_d) plane^T`` (3, 3), in which the depth has no part."""
     return -np.outer(theta[RATE], weights(theta[SLOPE], centre))
@@ -84,24 +65,6 @@ def to_plane(theta: np.ndarray, centre: np.ndarray,
     jacobian[3:, RATE] = -depth * np.eye(3)
     jacobian[3:, LOG_DEPTH] = -relative
     return np.r_[plane, t_cur_from_prev - relative], jacobian
-
-
-def from_plane(plane: np.ndarray, t_d: np.ndarray, centre: np.ndarray,
-               t_cur_from_prev: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return theta (6,) of a plane and its displacement and the derivative (6, 6).
-
-    The inverse of ``to_plane``; the centre's ray must meet the plane in front of the camera.
-    """
-    ray = np.r_[centre, 1.0]
-    inverse_depth = -plane @ ray
-    slope = -plane[:2] / inverse_depth
-    relative = t_cur_from_prev - t_d
-    jacobian = np.zeros((6, 6))
-    jacobian[RATE, :3] = -np.outer(relative, ray)
-    jacobian[RATE, 3:] = -inverse_depth * np.eye(3)
-    jacobian[SLOPE, :3] = (-np.eye(2, 3) + np.outer(slope, ray)) / inverse_depth
-    jacobian[LOG_DEPTH, :3] = ray / inverse_depth
-    return np.r_[inverse_depth * relative, slope, -np.log(inverse_depth)], jacobian
 
 
 def contact(x: np.ndarray, block: np.ndarray) -> Contact:

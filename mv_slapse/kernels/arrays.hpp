@@ -4,18 +4,17 @@
 
 #pragma once
 
-#include <pybind11/numpy.h>
-#include <pybind11/pybind11.h>
-
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <initializer_list>
 #include <string>
 #include <type_traits>
+#include <utility>
+
+#include "python.hpp"
 
 namespace kernels {
-
-namespace py = pybind11;
 
 constexpr py::ssize_t ANY = -1;  // a length that the kernel takes as it comes
 enum class Check { none, finite };
@@ -35,24 +34,18 @@ class In {
  public:
   In(const char* kernel, const char* name, const py::object& object,
      std::initializer_list<py::ssize_t> shape, Check check = Check::none) {
-    if (!py::isinstance<py::array>(object)) refuse(kernel, says(name, shape, "is no numpy array"));
-    array_ = py::reinterpret_borrow<py::array>(object);
-    // Nearly always it is the very object; to compare two of them costs as much as all else here.
-    const py::dtype own = array_.dtype(), wanted = py::dtype::of<T>();
-    if (!own.is(wanted) && !own.equal(wanted))
-      refuse(kernel, says(name, shape, "has dtype " + std::string(py::str(array_.dtype()))));
+    if (!py::is_array(object)) refuse(kernel, says(name, shape, "is no numpy array"));
+    if (!py::has_type(object, py::type_of<T>()))
+      refuse(kernel, says(name, shape, "has dtype " + py::text(object.attr("dtype"))));
+    view_ = py::view(object);
     if (!fits(shape))
-      refuse(kernel, says(name, shape, "has shape " + std::string(py::str(array_.attr("shape")))));
-    constexpr int good = py::array::c_style | py::detail::npy_api::NPY_ARRAY_ALIGNED_;
-    if ((array_.flags() & good) != good)
-      array_ = py::array_t<T, py::array::c_style | py::array::forcecast>::ensure(
-          array_.attr("copy")("C"));
-    data_ = static_cast<const T*>(array_.data());
-    columns_ = array_.ndim() > 1 ? array_.shape(1) : 1;
+      refuse(kernel, says(name, shape, "has shape " + py::text(object.attr("shape"))));
+    data_ = static_cast<const T*>(view_.data);
+    columns_ = view_.ndim > 1 ? view_.shape[1] : 1;
     if constexpr (std::is_floating_point_v<T>)
       if (check == Check::finite) {
         bool finite = true;  // without a way out, so that the compiler can take several at a time
-        for (py::ssize_t i = 0, n = array_.size(); i < n; ++i) finite &= std::isfinite(data_[i]);
+        for (py::ssize_t i = 0, n = count(); i < n; ++i) finite &= std::isfinite(data_[i]);
         if (!finite) refuse(kernel, says(name, shape, "is not finite"));
       }
   }
@@ -60,26 +53,32 @@ class In {
   const T& operator[](py::ssize_t i) const { return data_[i]; }
   const T& operator()(py::ssize_t i, py::ssize_t j) const { return data_[i * columns_ + j]; }
   const T* data() const { return data_; }
-  py::ssize_t size(int axis = 0) const { return array_.shape(axis); }
+  py::ssize_t size(int axis = 0) const { return view_.shape[axis]; }
 
  private:
   bool fits(std::initializer_list<py::ssize_t> shape) const {
-    if (array_.ndim() != static_cast<py::ssize_t>(shape.size())) return false;
+    if (view_.ndim != static_cast<int>(shape.size())) return false;
     int axis = 0;
     for (const auto length : shape)
-      if (const auto is = array_.shape(axis++); length != ANY && length != is) return false;
+      if (const auto is = view_.shape[axis++]; length != ANY && length != is) return false;
     return true;
+  }
+
+  py::ssize_t count() const {
+    py::ssize_t out = 1;
+    for (int axis = 0; axis < view_.ndim; ++axis) out *= view_.shape[axis];
+    return out;
   }
 
   static std::string says(const char* name, std::initializer_list<py::ssize_t> shape,
                           const std::string& what) {
     std::string text = std::string(name) + " " + what + "; it must be " +
-                       std::string(py::str(py::dtype::of<T>())) + " of shape (";
+                       py::name_of(py::type_of<T>()) + " of shape (";
     for (const auto length : shape) text += (length == ANY ? "N" : std::to_string(length)) + ", ";
     return text + ")";
   }
 
-  py::array array_;
+  py::View view_;
   const T* data_;
   py::ssize_t columns_;  // looked up once: asking the array for it costs more than the access
 };
@@ -88,10 +87,8 @@ class In {
 template <typename T>
 class Out {
  public:
-  explicit Out(std::initializer_list<py::ssize_t> shape)
-      : array_(std::vector<py::ssize_t>(shape)), data_(array_.mutable_data()),
-        columns_(array_.ndim() > 1 ? array_.shape(1) : 1) {
-    std::fill(data_, data_ + array_.size(), T{});
+  explicit Out(std::initializer_list<py::ssize_t> shape) : array_(made(shape, &data_)) {
+    columns_ = shape.size() > 1 ? shape.begin()[1] : 1;
   }
 
   T& operator[](py::ssize_t i) { return data_[i]; }
@@ -100,8 +97,15 @@ class Out {
   const py::array_t<T>& array() const { return array_; }
 
  private:
-  py::array_t<T> array_;
+  static py::array_t<T> made(std::initializer_list<py::ssize_t> shape, T** data) {
+    void* begin;
+    py::array_t<T> out(py::new_array(py::type_of<T>(), shape, &begin));
+    *data = static_cast<T*>(begin);
+    return out;
+  }
+
   T* data_;
+  py::array_t<T> array_;
   py::ssize_t columns_;
 };
 

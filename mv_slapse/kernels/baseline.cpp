@@ -205,7 +205,7 @@ Ratio excess(const Map& single, const Map& smooth, const Policy& policy, double 
 }  // namespace
 }  // namespace kernels
 
-void bind_baseline(pybind11::module_& module) {
+void bind_baseline(kernels::py::module_& module) {
   using namespace kernels;
   // -> grid (rows + 2, columns + 2): the last usable block in each macroblock, -1 for none
   module.def("depth_grid", [](const py::object& x, const py::object& usable, py::ssize_t rows,

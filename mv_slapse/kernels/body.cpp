@@ -347,4 +347,4 @@ py::tuple with_bodies(const py::object& field, std::int64_t width, std::int64_t 
 }  // namespace
 }  // namespace kernels
 
-void bind_body(pybind11::module_& module) { module.def("with_bodies", kernels::with_bodies); }
+void bind_body(kernels::py::module_& module) { module.def("with_bodies", kernels::with_bodies); }

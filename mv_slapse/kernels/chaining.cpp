@@ -257,7 +257,7 @@ double parallax(const py::object& cur, const py::object& prev, const py::object&
 }  // namespace
 }  // namespace kernels
 
-void bind_chaining(pybind11::module_& module) {
+void bind_chaining(kernels::py::module_& module) {
   using namespace kernels;
   module.def("chain", chain);
   module.def("median_flow", median_flow);

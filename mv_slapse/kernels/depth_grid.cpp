@@ -117,7 +117,7 @@ py::tuple note_depths(const py::object& rho, const py::object& sigma, const py::
 }  // namespace
 }  // namespace kernels
 
-void bind_depth_grid(pybind11::module_& module) {
+void bind_depth_grid(kernels::py::module_& module) {
   using namespace kernels;
   module.def("carry_depths", carry_depths);
   module.def("join_depths", join_depths);

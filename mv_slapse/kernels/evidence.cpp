@@ -236,7 +236,7 @@ py::tuple motion_vectors(const py::object& exported) {
 }  // namespace
 }  // namespace kernels
 
-void bind_evidence(pybind11::module_& module) {
+void bind_evidence(kernels::py::module_& module) {
   using namespace kernels;
   module.def("motion_vectors", motion_vectors);
   module.def("leaning", [](const py::tuple& frame) {

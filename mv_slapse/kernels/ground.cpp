@@ -414,7 +414,7 @@ py::object find_ground(const py::object& rays, const py::object& rho, const py::
 }  // namespace
 }  // namespace kernels
 
-void bind_ground(pybind11::module_& module) {
+void bind_ground(kernels::py::module_& module) {
   using namespace kernels;
   // Which of the known blocks (N,), that fall by `drop` (N,), rise from the road.
   module.def("on_bodies", [](const py::object& rays, const py::object& rho,

@@ -114,8 +114,8 @@ Tangent reestimate(const Problem& problem, State& state, int steps) {
 
 std::vector<Known> known_of(const char* kernel, const py::list& expected, int n_planes) {
   std::vector<Known> out;
-  for (const auto& item : expected) {
-    const auto of = item.cast<py::tuple>();
+  for (py::ssize_t i = 0; i < expected.size(); ++i) {
+    const auto of = expected[i].cast<py::tuple>();
     const In<double> mean(kernel, "expected mean", of[1], {3}, Check::finite);
     const In<double> information(kernel, "expected information", of[2], {3, 3}, Check::finite);
     Known known;
@@ -131,7 +131,7 @@ std::vector<Known> known_of(const char* kernel, const py::list& expected, int n_
 }  // namespace
 }  // namespace kernels
 
-void bind_joint(pybind11::module_& module) {
+void bind_joint(kernels::py::module_& module) {
   using namespace kernels;
   // options as in normal_equations; expected: [(plane, mean (3,), information (3, 3))]
   // -> R (3, 3), t (3,), planes (P, 3), covariance (6 + 3 P, 6 + 3 P) of (w, t, planes)

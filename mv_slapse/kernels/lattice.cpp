@@ -176,7 +176,7 @@ py::array_t<std::int32_t> look_up_cells(const py::object& grid_, const py::objec
 }  // namespace
 }  // namespace kernels
 
-void bind_lattice(pybind11::module_& module) {
+void bind_lattice(kernels::py::module_& module) {
   using namespace kernels;
   module.def("paint_cells", paint_cells);
   module.def("look_up_cells", look_up_cells);

@@ -310,7 +310,7 @@ py::tuple borne_out(const py::tuple& columns, const py::tuple& pair, int width, 
 
 }  // namespace kernels
 
-void bind_merging(pybind11::module_& module) {
+void bind_merging(kernels::py::module_& module) {
   using namespace kernels;
   module.def("merge", merge);
   module.def("borne_out", borne_out);

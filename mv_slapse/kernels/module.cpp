@@ -2,30 +2,35 @@
 
 #include <pybind11/pybind11.h>
 
-void bind_depth_grid(pybind11::module_& module);
-void bind_ground(pybind11::module_& module);
-void bind_body(pybind11::module_& module);
-void bind_movers(pybind11::module_& module);
-void bind_reference_depth(pybind11::module_& module);
-void bind_region_score(pybind11::module_& module);
-void bind_lattice(pybind11::module_& module);
-void bind_scene(pybind11::module_& module);
-void bind_scene_blocks(pybind11::module_& module);
-void bind_baseline(pybind11::module_& module);
-void bind_joint(pybind11::module_& module);
-void bind_motion(pybind11::module_& module);
-void bind_observations(pybind11::module_& module);
-void bind_chaining(pybind11::module_& module);
-void bind_evidence(pybind11::module_& module);
-void bind_merging(pybind11::module_& module);
-void bind_motion_prior(pybind11::module_& module);
-void bind_small(pybind11::module_& module);
-void bind_surfaces(pybind11::module_& module);
-void bind_two_view(pybind11::module_& module);
+#include "python.hpp"
 
-PYBIND11_MODULE(mv_slapse_kernels, module) {
-  module.doc() = "Kernels of mv_slapse: pure functions of arrays, without state or threads.";
-  module.attr("sanitized") = SANITIZED;
+void bind_depth_grid(kernels::py::module_& module);
+void bind_ground(kernels::py::module_& module);
+void bind_body(kernels::py::module_& module);
+void bind_movers(kernels::py::module_& module);
+void bind_reference_depth(kernels::py::module_& module);
+void bind_region_score(kernels::py::module_& module);
+void bind_lattice(kernels::py::module_& module);
+void bind_obstacle_detection(kernels::py::module_& module);
+void bind_obstacle_motion(kernels::py::module_& module);
+void bind_scene(kernels::py::module_& module);
+void bind_scene_blocks(kernels::py::module_& module);
+void bind_baseline(kernels::py::module_& module);
+void bind_joint(kernels::py::module_& module);
+void bind_motion(kernels::py::module_& module);
+void bind_observations(kernels::py::module_& module);
+void bind_chaining(kernels::py::module_& module);
+void bind_evidence(kernels::py::module_& module);
+void bind_merging(kernels::py::module_& module);
+void bind_motion_prior(kernels::py::module_& module);
+void bind_small(kernels::py::module_& module);
+void bind_surfaces(kernels::py::module_& module);
+void bind_two_view(kernels::py::module_& module);
+
+PYBIND11_MODULE(mv_slapse_kernels, made) {
+  made.doc() = "Kernels of mv_slapse: pure functions of arrays, without state or threads.";
+  made.attr("sanitized") = SANITIZED;
+  kernels::py::module_ module(made.ptr());
   bind_depth_grid(module);
   bind_ground(module);
   bind_body(module);
@@ -33,6 +38,8 @@ PYBIND11_MODULE(mv_slapse_kernels, module) {
   bind_reference_depth(module);
   bind_region_score(module);
   bind_lattice(module);
+  bind_obstacle_detection(module);
+  bind_obstacle_motion(module);
   bind_scene(module);
   bind_scene_blocks(module);
   bind_baseline(module);

@@ -167,7 +167,7 @@ double noise_scale(const Blocks& blocks, const TwoView& view, double scale, std:
 }  // namespace
 }  // namespace kernels
 
-void bind_motion(pybind11::module_& module) {
+void bind_motion(kernels::py::module_& module) {
   using namespace kernels;
   // -> R (3, 3), t (3,) with the sign that puts most before the camera, covariance (6, 6), mean
   // robust cost, share behind the camera

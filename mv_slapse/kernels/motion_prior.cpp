@@ -101,7 +101,7 @@ py::array_t<float> prior_field(const py::object& velocities, float seconds, cons
 }  // namespace
 }  // namespace kernels
 
-void bind_motion_prior(pybind11::module_& module) {
+void bind_motion_prior(kernels::py::module_& module) {
   using namespace kernels;
   module.def("prior_update", prior_update);
   module.def("prior_field", prior_field);

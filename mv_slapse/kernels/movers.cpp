@@ -625,7 +625,7 @@ py::tuple grown(const py::object& blocks_, const py::object& regions, const py::
 }  // namespace
 }  // namespace kernels
 
-void bind_movers(pybind11::module_& module) {
+void bind_movers(kernels::py::module_& module) {
   using namespace kernels;
   module.def("moving_regions", moving_regions);
   module.def("departed", departed);

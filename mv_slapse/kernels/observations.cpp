@@ -86,7 +86,7 @@ void judge(const Blocks& blocks, const TwoView& view, const Bounds& bounds, Colu
 }  // namespace
 }  // namespace kernels
 
-void bind_observations(pybind11::module_& module) {
+void bind_observations(kernels::py::module_& module) {
   using namespace kernels;
   // bounds (3,): see Bounds -> columns, see BlockObservations
   module.def("observe_blocks", [](const py::object& rays_cur, const py::object& rays_prev,

@@ -269,7 +269,7 @@ py::tuple vote_macroblocks(const py::object& x_, const py::object& block_, const
 }  // namespace
 }  // namespace kernels
 
-void bind_reference_depth(pybind11::module_& module) {
+void bind_reference_depth(kernels::py::module_& module) {
   using namespace kernels;
   module.def("carry_points", carry_points);
   module.def("departures", departures);

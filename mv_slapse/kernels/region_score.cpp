@@ -632,7 +632,7 @@ py::array_t<double> region_departures(const py::object& outlines, const py::obje
 }  // namespace
 }  // namespace kernels
 
-void bind_region_score(pybind11::module_& module) {
+void bind_region_score(kernels::py::module_& module) {
   using namespace kernels;
   module.def("fit_moving_surfaces", fit_moving_surfaces);
   module.def("region_outlines", region_outlines);

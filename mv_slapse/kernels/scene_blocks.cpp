@@ -320,7 +320,7 @@ py::array_t<double> plane_outline(const py::object& x_cur, const py::object& pla
 }  // namespace
 }  // namespace kernels
 
-void bind_scene_blocks(pybind11::module_& module) {
+void bind_scene_blocks(kernels::py::module_& module) {
   module.def("stationary_blocks", kernels::stationary_blocks);
   module.def("error_dependence", kernels::error_dependence);
   module.def("depth_slope", kernels::depth_slope);

@@ -447,7 +447,7 @@ py::tuple predict_rows(const py::object& covariance, const py::object& errors,
 }  // namespace
 }  // namespace kernels
 
-void bind_scene(pybind11::module_& module) {
+void bind_scene(kernels::py::module_& module) {
   module.def("scene_update", kernels::scene_update);
   module.def("scene_observe", kernels::scene_observe);
   module.def("scene_distances", kernels::scene_distances);

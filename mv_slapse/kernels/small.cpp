@@ -45,7 +45,7 @@ py::object solved(const char* kernel, const py::object& A, const py::object& b, 
 }  // namespace
 }  // namespace kernels
 
-void bind_small(pybind11::module_& module) {
+void bind_small(kernels::py::module_& module) {
   using namespace kernels;
   module.def("rotation_exp", [](const py::object& w) {
     const In<double> v("rotation_exp", "w", w, {3}, Check::finite);

@@ -715,7 +715,7 @@ py::tuple predict_planes(const py::object& planes, const py::object& covariances
 }  // namespace
 }  // namespace kernels
 
-void bind_surfaces(pybind11::module_& module) {
+void bind_surfaces(kernels::py::module_& module) {
   using namespace kernels;
   module.def("find_planes", find_planes);
   module.def("predict_planes", predict_planes);

@@ -285,7 +285,7 @@ double normal_equations(const std::vector<Blocks>& groups, const TwoView& view,
 
 }  // namespace kernels
 
-void bind_two_view(pybind11::module_& module) {
+void bind_two_view(kernels::py::module_& module) {
   using namespace kernels;
   // K (3, 3), ideal pixels (N, 2) float32 of both pictures -> rays_cur, rays_prev (N, 3), x_prev
   module.def("rays_of", [](const py::object& K, const py::object& x_cur,

@@ -1,9 +1,12 @@
 """Which detection continues which track: overlap of macroblocks and Mahalanobis distance."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from math import copysign
 
 from mv_slapse.filters import ekf
 from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles.detection import Detection
 import numpy as np
@@ -27,8 +30,7 @@ def overlap(x: np.ndarray, other: np.ndarray) -> float:
 
     ``x`` (N, 2) and ``other`` (M, 2) are block centres [px].
     """
-    a, b = _cells(x), _cells(other)
-    return len(a & b) / max(min(len(a), len(b)), 1)
+    return compiled.shared_cells(x, other, MACROBLOCK)
 
 
 def box_overlap(a: np.ndarray, b: np.ndarray) -> float:
@@ -36,23 +38,26 @@ def box_overlap(a: np.ndarray, b: np.ndarray) -> float:
 
     Edges that differ by half a block or less are the same.
     """
-    edges, other = np.r_[a[:2], a[:2] + a[2:]], np.r_[b[:2], b[:2] + b[2:]]
-    apart = other - edges
-    other = edges + np.sign(apart) * np.maximum(np.abs(apart) - MACROBLOCK / 2, 0.0)
-    areas = [np.prod(np.maximum(e[2:] - e[:2], 0.0)) for e in (
-        edges, other, np.r_[np.maximum(edges, other)[:2], np.minimum(edges, other)[2:]])]
-    return float(areas[2] / max(areas[0] + areas[1] - areas[2], 1e-9))
+    one, other = _edges(a), _edges(b)
+    other = [e + copysign(max(abs(f - e) - MACROBLOCK / 2, 0.0), f - e)
+             for e, f in zip(one, other, strict=True)]
+    common = [*map(max, one[:2], other[:2]), *map(min, one[2:], other[2:])]
+    area, also, shared = ((max(right - left, 0.0) * max(bottom - top, 0.0))
+                          for left, top, right, bottom in (one, other, common))
+    return shared / max(area + also - shared, 1e-9)
 
 
-def _cells(x):
-    return set(map(tuple, (np.floor(x / MACROBLOCK)).astype(int).tolist()))
+def _edges(box):
+    """Return left, top, right and bottom of a box (4,): plain numbers, which cost less."""
+    x, y, width, height = box.tolist()
+    return x, y, x + width, y + height
 
 
-def observed(detection: Detection) -> np.ndarray:
-    """Return the elements (M,) int of the state that a detection is evidence of."""
-    told = np.ones(om.SIZE, bool)
-    told[2], told[om.RATE] = detection.has_depth, detection.has_rate
-    return np.flatnonzero(told)
+@cache
+def observed(has_depth: bool, has_rate: bool, most: int = om.SIZE) -> np.ndarray:
+    """Return the elements (M,) int of the state, below ``most``, of which there is evidence."""
+    return np.array([row for row in range(most) if (has_depth or row != om.LOG_DEPTH.start)
+                     and (has_rate or not om.RATE.start <= row < om.RATE.stop)])
 
 
 def squared_distance(mu, P, detection: Detection) -> tuple[float, int]:
@@ -60,11 +65,8 @@ def squared_distance(mu, P, detection: Detection) -> tuple[float, int]:
 
     The slope is left out: another face of the same vehicle is still the vehicle.
     """
-    rows = observed(detection)
-    rows = rows[rows < om.SLOPE.start]
-    at = np.ix_(rows, rows)
-    innovation = detection.z[rows] - mu[rows]
-    return ekf.squared_distance(innovation, P[at] + detection.R[at]), len(rows)
+    rows = observed(detection.has_depth, detection.has_rate, om.SLOPE.start)
+    return compiled.element_distance(mu, P, detection.z, detection.R, rows), len(rows)
 
 
 def associate(tracks: Sequence, detections: Sequence[Detection],
@@ -89,12 +91,13 @@ def associate(tracks: Sequence, detections: Sequence[Detection],
 
 
 def _cost(track, detection, gate):
-    distance, dof = squared_distance(track.mu, track.P, detection)
     shared = overlap(track.x, detection.x)
-    limit = ekf.chi2_bound(gate, dof)
+    if shared < MIN_OVERLAP:
+        return FORBIDDEN
+    distance, dof = squared_distance(track.mu, track.P, detection)
     same_id = track.plane_id == detection.id
     rescue = SAME_ID_RESCUE if same_id else RESCUE
-    if shared < MIN_OVERLAP or distance > limit * (rescue if shared > 0.5 else 1.0):
+    if distance > ekf.chi2_bound(gate, dof) * (rescue if shared > 0.5 else 1.0):
         return FORBIDDEN
     return distance + OVERLAP_COST * (1 - shared) + OTHER_ID_COST * (not same_id)
 
@@ -133,16 +136,19 @@ def _as_expected(group, expected):
 
 def _covers(box, part):
     """Whether a box holds most of another."""
-    low = np.maximum(box[:2], part[:2])
-    high = np.minimum(box[:2] + box[2:], part[:2] + part[2:])
-    return bool(np.prod(np.maximum(high - low, 0)) > INSIDE * np.prod(part[2:]))
+    left, top, right, bottom = _edges(box)
+    first, highest, last, lowest = _edges(part)
+    held = (max(min(right, last) - max(left, first), 0.0)
+            * max(min(bottom, lowest) - max(top, highest), 0.0))
+    return held > INSIDE * (last - first) * (lowest - highest)
 
 
 def same_body(one: Detection, other: Detection, gate: float) -> bool:
     """Return whether two surfaces touch and move as one body at about one depth."""
+    if not _touch(one.box, other.box):
+        return False
     ratios = DEPTH_RATIO if _share_depth(one, other) else SIMILAR_RATIO
-    return _touch(one.box, other.box) and _share_motion((one.z, one.R), (other.z, other.R),
-                                                        ratios, gate)
+    return _share_motion((one.z, one.R), (other.z, other.R), ratios, gate)
 
 
 def is_part(whole: tuple[np.ndarray, np.ndarray], whole_box: np.ndarray,
@@ -156,17 +162,18 @@ def is_part(whole: tuple[np.ndarray, np.ndarray], whole_box: np.ndarray,
 
 def _touch(a, b):
     """Whether two boxes lie at most a block, or a share of the larger one, apart."""
-    gap = np.maximum(a[:2], b[:2]) - np.minimum(a[:2] + a[2:], b[:2] + b[2:])
-    return bool(np.all(gap <= max(MACROBLOCK, GAP_SHARE * max(np.min(a[2:]), np.min(b[2:])))))
+    (left, top, right, bottom), (first, highest, last, lowest) = _edges(a), _edges(b)
+    gap = max(MACROBLOCK, GAP_SHARE * max(min(right - left, bottom - top),
+                                          min(last - first, lowest - highest)))
+    return (max(left, first) - min(right, last) <= gap
+            and max(top, highest) - min(bottom, lowest) <= gap)
 
 
 def _share_depth(one, other):
     """Whether depths agree; what lies above another surface has no contact of its own."""
-    left = max(one.box[0], other.box[0])
-    right = min(one.box[0] + one.box[2], other.box[0] + other.box[2])
-    if right - left > 0.5 * min(one.box[2], other.box[2]):
-        return True
-    if not (one.has_depth and other.has_depth):
+    (left, _, right, _), (first, _, last, _) = _edges(one.box), _edges(other.box)
+    if (min(right, last) - max(left, first) > 0.5 * min(right - left, last - first)
+            or not (one.has_depth and other.has_depth)):
         return True
     sigma = np.sqrt(one.R[2, 2] + other.R[2, 2])
     return abs(one.z[2] - other.z[2]) < 2 * sigma + 0.1
@@ -175,5 +182,5 @@ def _share_depth(one, other):
 def _share_motion(one, other, ratios, gate):
     """Whether one velocity explains both rates, at depths of a ratio that one body allows."""
     (a, A), (b, B) = ((mean[om.RATE], cov[om.RATE, om.RATE]) for mean, cov in (one, other))
-    ratio = np.clip(a @ b / max(b @ b, 1e-12), *ratios)
+    ratio = min(max(a @ b / max(b @ b, 1e-12), ratios[0]), ratios[1])
     return ekf.squared_distance(a - ratio * b, A + ratio**2 * B) < ekf.chi2_bound(gate, 3)

@@ -4,11 +4,11 @@ Pure functions of the evidence; the filters act on what they return.
 """
 
 from collections.abc import Sequence
+import math
 from typing import NamedTuple
 
 from mv_slapse.config import ExtractionSettings, ObstacleSettings
 from mv_slapse.filters import ekf
-import numpy as np
 
 STILL_CONFIDENCE = 0.99  # "it stands still" is given up beyond this
 # Log-likelihood that successive detections are one body, against regions of wrong vectors, as
@@ -75,7 +75,7 @@ def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSe
     statistic = newest.statistic + max(newest.departed - EVEN_SCORE, 0.0)
     moves = statistic > ekf.chi2_bound(settings.moving_confidence, 3)
     lasted = 1e-9 * (newest.stamp - recent[0].start)
-    sure = ONE_BODY + np.log(max(false_starts / USUAL_STARTS, 1.0))
+    sure = ONE_BODY + math.log(max(false_starts / USUAL_STARTS, 1.0))
     first_only = not any(e.dof for e in evidence)  # which only the settings can let suffice
     return (moves and newest.speed >= slowest and lasted >= settings.confirm_time - 1e-6
             and (first_only or one_body(evidence) + alone * _lasting(newest.score) >= sure))
@@ -105,8 +105,8 @@ def one_body(evidence: Sequence[Evidence]) -> float:
 
 def _favour(nis, overlap):
     """Return what one detection adds."""
-    moves = NIS_GAIN * np.log(EVEN_NIS / np.clip(nis, LEAST_NIS, MOST_NIS))
-    return float(moves + OVERLAP_GAIN * (max(overlap, LEAST_OVERLAP) - EVEN_OVERLAP))
+    moves = NIS_GAIN * math.log(EVEN_NIS / min(max(nis, LEAST_NIS), MOST_NIS))
+    return moves + OVERLAP_GAIN * (max(overlap, LEAST_OVERLAP) - EVEN_OVERLAP)
 
 
 def dissolves(evidence: Sequence[Evidence], unit: float, settings: ObstacleSettings) -> bool:

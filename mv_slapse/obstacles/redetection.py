@@ -7,8 +7,8 @@ so are its own. They correct the rate and, weakly, the place; the depth is left 
 
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import ekf
-from mv_slapse.geometry import moving_plane
 from mv_slapse.geometry.camera import to_rays
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles.detection import (
     bearing_covariance,
@@ -103,31 +103,8 @@ def _rate(mu, P, rays, extraction, at, view, bias):
     one. What lies behind an obstacle, or before it, may pass for its own by a prediction that
     lags, as where it brakes; it does not agree with the rest.
     """
-    prior = view.dt**2 * P[om.RATE, om.RATE]
-    theta = np.r_[view.dt * mu[om.RATE], mu[om.SLOPE]]
     variance = extraction.sigma[at].astype(float)**2 + bias**2
-    target, limit = extraction.x_prev[at].astype(float), ekf.chi2_bound(GATE, 2)
-    weak = WEAK * np.linalg.inv(prior)  # one block alone leaves the rate open
-    error, J = _errors(theta, mu, rays, target, view)
-    S = J @ prior @ np.swapaxes(J, 1, 2) + variance[:, None, None] * np.eye(2)
-    near = np.einsum('ni,ni->n', error, np.linalg.solve(S, error[:, :, None])[:, :, 0]) < limit
-    for i in range(ITERATIONS if near.any() else 0):
-        squared = np.sum(error**2, axis=1) / variance
-        # While the start is bad the kernel is twice as wide as half of the blocks reach.
-        width = max(limit, 4 * np.median(squared[near])) if i < COARSE else limit
-        weighted = J * (near / (1 + squared / width)**2 / variance)[:, None, None]
-        information = np.einsum('nij,nik->jk', weighted, J) + weak
-        theta[moving_plane.RATE] += np.linalg.solve(
-            information, np.einsum('nij,ni->j', weighted, error))
-        error, J = _errors(theta, mu, rays, target, view)
-    squared = np.sum(error**2, axis=1) / variance
-    own = near & (squared < limit)
-    information = np.einsum('nij,nik->jk', J[own] / variance[own, None, None], J[own]) + weak
-    spread = squared[own].sum() / max(2 * own.sum() - 3, 1)
-    return theta[moving_plane.RATE], information / max(spread, 1.0), near, own
-
-
-def _errors(theta, mu, rays, target, view):
-    """Return errors (N, 2) of a rate and slope (5,) [px] and their Jacobian (N, 2, 3) by rate."""
-    x_prev, J = moving_plane.transfer(theta, rays, mu[om.BEARING], view.K, view.R_cur_from_prev)
-    return target - x_prev, J[:, :, moving_plane.RATE]
+    return compiled.redetect_rate(
+        mu, view.dt**2 * P[om.RATE, om.RATE], rays, extraction.x_prev[at].astype(float), variance,
+        view.dt, (view.K, view.R_cur_from_prev),
+        (ekf.chi2_bound(GATE, 2), WEAK, ITERATIONS, COARSE))

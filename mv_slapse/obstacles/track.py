@@ -1,16 +1,17 @@
 """One moving obstacle over time: its filter, its outline and the evidence for it."""
 
 from dataclasses import dataclass, field, replace
+import math
 
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry.blocks import MACROBLOCK
-from mv_slapse.geometry.camera import to_rays
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import association
 from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles.detection import body_box, box_of, cut_sides, Detection, Edge, is_cut
 from mv_slapse.obstacles.lifecycle import Evidence, within
-from mv_slapse.obstacles.view import View
+from mv_slapse.obstacles.view import norm, View
 from mv_slapse.records import Extraction, Label, Obstacle, ObstacleState, PlaneHandover, ScalePrior
 import numpy as np
 
@@ -25,7 +26,7 @@ SAME_OUTLINE = 0.6  # overlap with the predicted box of 96 % of right detections
 LEAST_SHARED = 0.1  # of it, that counts
 SETTLED = 3  # detections that tell where the outline should be
 OUTLINE_TIMES = 2.0  # correlation times over which outlines are averaged, which err alike in one
-BODY = ('state', 'extent', 'edge', 'scale_prior', 'drift')  # what a track knows of a vehicle
+BODY = ('mu', 'P', 'extent', 'edge', 'scale_prior', 'drift')  # what a track knows of a vehicle
 NO_PLANE = -1  # id of the plane of a track whose plane is another one's now
 CLEARANCE = 0.12  # of ln Z: vehicles seen from behind end 0.2 m above the road, of 1.65 m
 BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
@@ -41,8 +42,8 @@ class Track:
         Lasts as long as the track.
     plane_id : int
         Of the plane observation that continued it last; NO_PLANE: it continues another one now.
-    state : ekf.State
-        Blocks 'bearing', 'log_depth', 'rate', 'slope' of obstacle_motion.
+    mu, P : (8,), (8, 8) float64
+        State of motion_model and its covariance.
     x, block : (N, 2) float64
         Block centres, moved on by the prediction, and sizes [px].
     extent : (4,) float64
@@ -61,7 +62,8 @@ class Track:
 
     id: int
     plane_id: int
-    state: ekf.State
+    mu: np.ndarray
+    P: np.ndarray
     x: np.ndarray
     block: np.ndarray
     extent: np.ndarray
@@ -73,29 +75,18 @@ class Track:
     drift: np.ndarray = field(default_factory=lambda: np.zeros(3))
     evidence: list[Evidence] = field(default_factory=list)
 
-    @property
-    def mu(self) -> np.ndarray:
-        """Return the mean (8,) of the state."""
-        return self.state.mu
-
-    @property
-    def P(self) -> np.ndarray:
-        """Return the covariance (8, 8) of the state."""
-        return self.state.P
-
     def predict(self, step: om.CameraStep, view: View, settings: ObstacleSettings) -> bool:
         """Move on to the newest key frame, (15); False where the obstacle is out of sight."""
         still = step.t_cur_from_prev / step.dt
-        speed = np.linalg.norm(still) + np.exp(self.mu[2]) * np.linalg.norm(self.mu[om.RATE])
+        speed = norm(still) + math.exp(self.mu[2]) * norm(self.mu[om.RATE])
         unit = 1.0 if view.is_metric else UNSCALED_ACCELERATION * speed
         moved = om.predict(self.mu, step, still, view.scene_covariance,
                            settings.acceleration * unit * self._unrest())
         if moved is None:
             return False
         mu, F, Q = moved
-        focal, centre = np.diag(view.K)[:2], view.K[:2, 2]
-        old, new = focal * self.mu[:2] + centre, focal * mu[:2] + centre
-        growth = np.exp(np.clip(self.mu[2] - mu[2], -1, 1))
+        old, new = (view.focal * ray[:2] + view.K[:2, 2] for ray in (self.mu, mu))
+        growth = math.exp(min(max(self.mu[2] - mu[2], -1), 1))
         self.x = new + growth * (self.x - old)
         self.block = growth * self.block
         self.extent = growth * self.extent
@@ -103,8 +94,8 @@ class Track:
         # The block that hides the lower edge moves on with time, and its error with it: ln Z is
         # never known better than a share of it.
         Q[2, 2] += (EDGE_SHARE * self.edge.half / self.edge.drop)**2 * step.dt
-        ekf.predict(self.state, mu, F, Q)
-        return bool(np.all(np.minimum(self.box(view), self.body(view))[2:] > 0))
+        self.mu, self.P = mu, F @ self.P @ F.T + Q
+        return bool(np.minimum(self.box(view), self.body(view))[2:].min() > 0)
 
     def update(self, detection: Detection, extraction: Extraction, view: View,
                settings: ObstacleSettings):
@@ -120,17 +111,17 @@ class Track:
         excess = max(1.0, distance / ekf.chi2_bound(settings.gate, dof))
         if excess > 1 and detection.has_rate and self._disagreed(settings):
             # Twice is no accident: it is the state that is wrong, not the detection.
-            self.state.P *= excess
+            self.P = excess * self.P
             excess = 1.0
         rate = (detection.z - self.mu)[om.RATE]
-        sigma = np.sqrt(np.diag(self.P + detection.R)[om.RATE])
+        sigma = np.sqrt((self.P + detection.R).diagonal()[om.RATE])
         self.drift = self.drift + detection.has_rate * DRIFT_GAIN * (rate / sigma - self.drift)
         evidence = self._depth_evidence(
             replace(detection, R=_correlated(detection.R, view.dt, settings)), view.dt)
-        rows = association.observed(evidence)
-        ekf.update(self.state, evidence.z[rows] - self.mu[rows], np.eye(om.SIZE)[rows],
-                   evidence.R[np.ix_(rows, rows)] * excess)
-        self.state.mu[om.SLOPE] = np.clip(self.mu[om.SLOPE], -om.SLOPE_LIMIT, om.SLOPE_LIMIT)
+        self.mu, self.P = compiled.correct_elements(
+            self.mu, self.P, evidence.z, excess * evidence.R,
+            association.observed(evidence.has_depth, evidence.has_rate))
+        self.mu[om.SLOPE] = np.clip(self.mu[om.SLOPE], -om.SLOPE_LIMIT, om.SLOPE_LIMIT)
         self.plane_id, self.x, self.block = detection.id, detection.x, detection.block
         if detection.has_depth:
             self.scale_prior, self.edge = detection.scale_prior, detection.edge
@@ -141,7 +132,7 @@ class Track:
 
     def scale(self, unit: float):
         """Go on in a unit of length that makes ``unit`` of the one so far."""
-        self.state.mu[om.LOG_DEPTH] += np.log(unit)
+        self.mu[om.LOG_DEPTH] += np.log(unit)
         self.evidence = [e._replace(speed=unit * e.speed) for e in self.evidence]
 
     def contains(self, part: 'Detection | Track', view: View, gate: float) -> bool:
@@ -194,7 +185,7 @@ class Track:
         """
         seen, count = body_box(self.x, self.block), len(self.evidence) + 1
         lasts = max(OUTLINE_TIMES * settings.correlation_time, 1e-6)
-        share = max(1 - np.exp(-1e-9 * (stamp - self.last_seen) / lasts), 1 / count)
+        share = max(1 - math.exp(-1e-9 * (stamp - self.last_seen) / lasts), 1 / count)
         gain = np.where(is_cut(seen, view), 1.0, share)
         self.extent = self.extent + np.tile(gain, 2) * (seen - self.extent)
 
@@ -206,7 +197,7 @@ class Track:
     def _unrest(self):
         """Return the factor on the acceleration: a constant velocity needs little of it."""
         expected = len(self.drift) * DRIFT_GAIN / (2 - DRIFT_GAIN)
-        return np.clip(np.sum(self.drift**2) / expected, *UNREST_RANGE)
+        return min(max(self.drift @ self.drift / expected, UNREST_RANGE[0]), UNREST_RANGE[1])
 
     def _depth_evidence(self, detection, dt):
         """Return the detection with what its lower edge says of the depth beyond the last one.
@@ -219,10 +210,11 @@ class Track:
         jump = self.edge.row - edge.row
         moved = edge.drop * -self.mu[5] * dt
         if 0 < abs(jump) <= 3 * edge.half:
-            z[2] = edge.log_depth(z[2], np.clip(0.5 * (jump + moved), -edge.half, edge.half))
+            rows = min(max(0.5 * (jump + moved), -edge.half), edge.half)
+            z[2] = edge.log_depth(z[2], rows)
         else:
-            z[2] = np.clip(self.mu[2], edge.log_depth(z[2], edge.half),
-                           edge.log_depth(z[2], -edge.half))
+            z[2] = min(max(self.mu[2], edge.log_depth(z[2], edge.half)),
+                       edge.log_depth(z[2], -edge.half))
         if not detection.has_depth or z[2] == self.mu[2]:
             return detection
         R[2, :], R[:, 2] = 0.0, 0.0
@@ -237,7 +229,7 @@ class Track:
         nearer = CLEARANCE if self.scale_prior is ScalePrior.GROUND_CONTACT else 0.0
         statistic = om.moving_statistic(self.mu, self.P, view.scene_velocity,
                                         view.compared_covariance, nearer)
-        speed = float(np.linalg.norm(self.motion(view).velocity))
+        speed = norm(self.motion(view).velocity)
         self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic, nis,
                                       dof, speed, overlap, score, departed))
         self.evidence = within(self.evidence, KEPT_EVIDENCE)
@@ -245,7 +237,7 @@ class Track:
     def height(self, view: View) -> float:
         """Return how tall it looks [map unit], less a macroblock and a half for the outline."""
         seen = self.box(view)[3] - 1.5 * MACROBLOCK
-        return float(np.exp(self.mu[2]) * seen / view.K[1, 1])
+        return math.exp(self.mu[2]) * float(seen / view.K[1, 1])
 
     def is_moving(self, settings: ObstacleSettings) -> bool:
         """Return whether the last evidence shows motion, whatever the labels say."""
@@ -276,45 +268,21 @@ class Track:
 
     def obstacle(self, stamp: int, view: View) -> Obstacle:
         """Return the record of this track at a key frame."""
-        motion = self.motion(view)
-        motion.covariance[:] += self._never_averaged(view)
-        turn = np.kron(np.eye(2), view.R_world_from_cam)
-        seen = self.last_seen == stamp
+        seen, foot, box = self.last_seen == stamp, None, self.body(view)
         state = ObstacleState.TENTATIVE if not self.confirmed else (
             ObstacleState.CONFIRMED if seen else ObstacleState.COASTING)
-        return Obstacle(
-            self.id, stamp, state, view.plane_to_world(om.plane(self.mu))[0],
-            view.to_world(motion.position), view.R_world_from_cam @ motion.velocity,
-            turn @ motion.covariance @ turn.T, *self.time_to_contact(), self.body(view),
-            self._surface(view), len(self.x), 1e-9 * (stamp - self.first_seen), self.last_seen,
-            self.scale_prior)
-
-    def _never_averaged(self, view):
-        """Return what (6, 6) is wrong of position and velocity all the time.
-
-        The middle of what is seen is not that of the surface; what a block shows of a vehicle's
-        foot is the same from pair to pair; and the ground is as wrong as the map says.
-        """
-        point, rate = self._point_sigma(view)**2, self.mu[om.RATE]
-        result = np.zeros((6, 6))
-        result[:3, :3] = point * np.eye(3)
-        result[3:, 3:] = point * np.outer(rate, rate)
         if self.scale_prior is ScalePrior.GROUND_CONTACT and view.ground is not None:
-            foot = np.r_[self.mu[0], (self.edge.row - view.K[1, 2]) / view.K[1, 1], 1.0]
-            normal = view.ground / np.linalg.norm(view.ground)
-            tilt = foot @ view.ground_normal_covariance @ foot / max((normal @ foot)**2, 1e-6)
-            along = np.exp(self.mu[2]) * np.r_[self.mu[om.BEARING], 1.0, rate]
-            result += ((FOOT_SIGMA / self.edge.drop)**2 + tilt) * np.outer(along, along)
-        return result
-
-    def _point_sigma(self, view):
-        """Return how far the middle of what is seen is from the middle of the surface [unit].
-
-        A vehicle shows some of its side as well, and the picture's edge may cut it off.
-        """
-        box = self.body(view)
-        share = PART_SHARE if np.any(is_cut(box, view)) else POINT_SHARE
-        return share * np.max(box[2:] / np.diag(view.K)[:2]) * np.exp(self.mu[2])
+            foot = (self.edge.row, FOOT_SIGMA / self.edge.drop, view.ground,
+                    view.ground_normal_covariance)
+        # A vehicle shows some of its side as well, and the picture's edge may cut it off.
+        share = PART_SHARE if is_cut(box, view).any() else POINT_SHARE
+        *motion, surface = compiled.obstacle_in_world(
+            self.mu, self.P, self.extent, (view.K, view.R_world_from_cam, view.t_world_from_cam,
+                                           view.scene_velocity, view.scene_covariance),
+            share * float((box[2:] / view.focal).max()), foot)
+        return Obstacle(self.id, stamp, state, *motion, *self.time_to_contact(), box, surface,
+                        len(self.x), 1e-9 * (stamp - self.first_seen), self.last_seen,
+                        self.scale_prior)
 
     def handover(self, stamp: int, view: View) -> PlaneHandover:
         """Return the hand-over of this plane to the scene filter."""
@@ -332,23 +300,11 @@ class Track:
         return PlaneHandover(stamp, self.plane_id, Label.STATIONARY, plane_world, np.zeros(3),
                              turn @ covariance @ turn.T)
 
-    def _surface(self, view):
-        """Return the corners (4, 3) of the seen surface in {W}: its extent on its plane."""
-        low, size = self.extent[:2], self.extent[2:]
-        corners = to_rays(view.K, low + size * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
-        relative = np.clip(1 + (corners[:, :2] - self.mu[:2]) @ self.mu[om.SLOPE], 0.5, 2.0)
-        return view.to_world(corners * (np.exp(self.mu[2]) / relative)[:, None])
-
 
 def start(detection: Detection, extraction: Extraction, view: View, track_id: int) -> Track:
     """Return a new track of a detection."""
-    state = ekf.State()
-    for name, at in (('bearing', om.BEARING), ('log_depth', om.LOG_DEPTH), ('rate', om.RATE),
-                     ('slope', om.SLOPE)):
-        state.add(name, detection.z[at], detection.R[at, at])
-    state.P[:] = detection.R
-    track = Track(track_id, detection.id, state, detection.x, detection.block,
-                  body_box(detection.x, detection.block), detection.edge,
+    track = Track(track_id, detection.id, detection.z.copy(), detection.R.copy(), detection.x,
+                  detection.block, body_box(detection.x, detection.block), detection.edge,
                   detection.scale_prior, extraction.stamp, extraction.stamp)
     track.witness(extraction, view, 0.0, 0, score=detection.score, departed=detection.departed)
     return track
@@ -356,8 +312,10 @@ def start(detection: Detection, extraction: Extraction, view: View, track_id: in
 
 def clipped(box: np.ndarray, view: View) -> np.ndarray:
     """Return the part of a box (4,) that lies in the picture [px]; no size where none does."""
-    low = np.clip(box[:2], 0, view.size)
-    return np.r_[low, np.clip(box[:2] + box[2:], 0, view.size) - low]
+    (x, y, width, height), (across, down) = box.tolist(), view.size.tolist()
+    left, top = min(max(x, 0.0), across), min(max(y, 0.0), down)
+    return np.array([left, top, min(max(x + width, 0.0), across) - left,
+                     min(max(y + height, 0.0), down) - top])
 
 
 def _doubted(detection, shared, box, view):
@@ -368,7 +326,7 @@ def _doubted(detection, shared, box, view):
     """
     jump = (1 - shared) * np.maximum(detection.box[2:], box[2:]) / 2
     R = detection.R.copy()
-    R[om.BEARING, om.BEARING] += np.diag((jump / np.diag(view.K)[:2])**2)
+    R[om.BEARING, om.BEARING] += np.diag((jump / view.focal)**2)
     R[om.RATE, om.RATE] /= max(shared, LEAST_SHARED)**2
     return replace(detection, R=R)
 
@@ -379,8 +337,7 @@ def _correlated(R, dt, settings):
     A region's outline sits on the same lattice of blocks for a while: as many pairs as fit into
     twice the correlation time tell as much as one.
     """
-    factor = max(1.0, 2 * settings.correlation_time / dt)
-    scale = np.ones(om.SIZE)
-    scale[:3] = np.sqrt(factor)
-    scale[om.SLOPE] = np.sqrt(factor)
+    factor = math.sqrt(max(1.0, 2 * settings.correlation_time / dt))
+    scale = np.full(om.SIZE, factor)
+    scale[om.RATE] = 1.0
     return R * np.outer(scale, scale)

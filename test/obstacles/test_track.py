@@ -104,8 +104,8 @@ def test_handover_has_the_covariance_of_plane_and_velocity(rng):
 def test_a_track_goes_on_as_another_with_the_depth_that_is_better_known(rng, factor):
     track, other = Moment(0.3, rng).track(), Moment(0.4, rng).track()
     known, outlines = track.mu.copy(), (other.extent, track.extent)
-    other.state.mu[2] += 0.3
-    other.state.P[2, 2] = factor * track.P[2, 2]
+    other.mu[2] += 0.3
+    other.P[2, 2] = factor * track.P[2, 2]
     track.continue_as(other)
     np.testing.assert_array_equal(track.mu, other.mu if factor < 1 else known)
     np.testing.assert_array_equal(track.x, other.x)
@@ -119,7 +119,7 @@ def test_a_track_goes_on_as_another_with_the_depth_that_is_better_known(rng, fac
 def test_a_state_that_is_wrong_comes_back_and_one_wrong_detection_does_little(rng):
     moment = Moment(0.5, rng)
     track, item = moment.track(), moment.detection
-    track.state.P[:2, :2] = 1e-4 * np.eye(2)
+    track.P[:2, :2] = 1e-4 * np.eye(2)
     wrong = replace(item, z=item.z + np.r_[0.5, 0, np.zeros(6)])
     distances = []
     for _ in range(4):
@@ -191,7 +191,7 @@ def test_a_jump_of_the_edge_puts_it_between_the_two_rows(rng):
 def test_a_prediction_outside_its_block_is_drawn_to_the_block(rng, side):
     moment = Moment(0.5, rng)
     track, detection = moment.track(), moment.detection
-    track.state.mu[2] += side * 0.5
+    track.mu[2] += side * 0.5
     found = edge_evidence(track, detection)
     bound = detection.edge.log_depth(detection.z[2], -side * detection.edge.half)
     assert found.z[2] == pytest.approx(bound)
@@ -305,7 +305,7 @@ def test_an_obstacle_is_published_without_the_block_that_joined_it(rng):
     after = track.obstacle(0, moment.view)
     np.testing.assert_allclose(after.box, before.box)
     known = tracks.start(item, moment.extraction, moment.view, 7)
-    known.state = track.state
+    known.mu, known.P = track.mu, track.P
     np.testing.assert_allclose(after.outline, known.obstacle(0, moment.view).outline)
 
 

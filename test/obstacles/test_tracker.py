@@ -220,10 +220,12 @@ def test_cars_behind_each_other_are_two_where_the_road_shows_below_the_farther(r
         if road:
             n = at.sum()
             seen = replace(
-                seen, x_cur=np.r_[seen.x_cur, GRID[at]], x_prev=np.r_[seen.x_prev, GRID[at]],
-                sigma=np.r_[seen.sigma, np.ones(n)], block=np.r_[seen.block, np.full((n, 2), 16)],
+                seen, x_cur=np.r_[seen.x_cur, GRID[at]].astype(np.float32),
+                x_prev=np.r_[seen.x_prev, GRID[at]].astype(np.float32),
+                sigma=np.r_[seen.sigma, np.ones(n)],
+                block=np.r_[seen.block, np.full((n, 2), 16)].astype(np.uint8),
                 label=np.r_[seen.label, np.full(n, Label.STATIONARY)],
-                plane_id=np.r_[seen.plane_id, np.zeros(n, int)])
+                plane_id=np.r_[seen.plane_id, np.zeros(n)].astype(np.int32))
         obstacles, _ = tracker.step(seen, drive.scene(before, now))
     assert [o.id for o in usable(obstacles)] == ids
 

@@ -51,8 +51,8 @@ def test_what_stands_nearer_or_farther_than_an_obstacle_is_not_it(rng):
     seen = replace(seen, label=np.zeros_like(seen.label))
     share = {}
     for factor in (0.3, 0.7, 1.0, 1.4, 3.5):
-        track.state.mu[2] = item.z[2] + np.log(factor)
-        track.state.P[2, 2] = 1e-4
+        track.mu[2] = item.z[2] + np.log(factor)
+        track.P[2, 2] = 1e-4
         share[factor] = obstacles_module._still_share(track, seen, view)
     assert min(share[0.7], share[1.0], share[1.4]) > 0.9
     assert max(share[0.3], share[3.5]) < 0.1

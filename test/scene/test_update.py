@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from canyon import angle_between, CANYON, K, motion, turn_between, views
+import ekf_reference
 import formulas
 from kernels.scene_reference import observation_jacobian
 from mv_slapse.config import SceneSettings
@@ -68,7 +69,7 @@ def test_a_linear_observation_is_that_of_the_filter(rng, scene, state):
     innovation, H = formulas.linearised(observation, state)
     twin = ekf.State()
     twin.add('all', np.zeros(state.size), state.P)
-    ekf.update(twin, innovation, H, np.eye(1) * 0.3**2)
+    ekf_reference.update(twin, innovation, H, np.eye(1) * 0.3**2)
     once = SceneSettings(iterations=1)
     found = scene_update.update(
         state, np.zeros(state.size), scene.pair[:0], scene.surface[:0], [], once,
