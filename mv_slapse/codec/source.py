@@ -31,6 +31,8 @@ class Source:
         Frame rate as the container tells it; 0 where it does not [1/s].
     n_frames : int
         Number of pictures as the container tells it; 0 where it does not.
+    has_end : bool
+        Whether the container tells how long it lasts, as a file does.
     """
 
     def __init__(self, container):
@@ -43,6 +45,7 @@ class Source:
         self._rate = self._stream.average_rate or self._stream.guessed_rate
         self.fps = float(self._rate or 0)
         self.n_frames = self._stream.frames
+        self.has_end = container.duration is not None
         self.interlaced = _is_interlaced(context)
 
     def __enter__(self) -> 'Source':
@@ -113,11 +116,10 @@ def open_source(path_or_url: str | Path) -> Source:
         Where there is no such file, or no video in it.
     """
     name = str(path_or_url)
+    check_protocol(name)
     is_url = '://' in name
     if not is_url:
         _check_file(Path(name))
-    elif _protocol(name) not in (LOCAL, *PROTOCOLS.split(',')):
-        raise UnusableInput(f'{name}: protocol not allowed; use one of {LOCAL},{PROTOCOLS}')
     try:
         container = av.open(_place(name, is_url), **_how_to_open(name, is_url))
     except (av.error.FFmpegError, OSError) as error:
@@ -127,6 +129,18 @@ def open_source(path_or_url: str | Path) -> Source:
         container.close()
         raise UnusableInput(f'{name} has no video stream; give a file with pictures in it')
     return _checked(container, name)
+
+
+def check_protocol(name: str):
+    """Raise UnusableInput for a URL of a protocol that is not taken."""
+    if '://' in name and _protocol(name) not in (LOCAL, *PROTOCOLS.split(',')):
+        raise UnusableInput(f'{name}: protocol not allowed; use one of {LOCAL},{PROTOCOLS}')
+
+
+def is_live(name: str) -> bool:
+    """Return whether a source is a camera or the network: it does not wait, and may come back."""
+    return Path(name).is_char_device() or name.startswith('/dev/') or (
+        '://' in name and _protocol(name) != LOCAL)
 
 
 def _how_to_open(name: str, is_url: bool) -> dict:

@@ -1,7 +1,7 @@
 """Encoded or raw video in, merged motion vectors out."""
 
 from mv_slapse import fields
-from mv_slapse.config import DecoderSettings
+from mv_slapse.config import DecoderSettings, EncoderSettings
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.decoding import Decoding
@@ -26,7 +26,7 @@ class DecoderNode(Shell):
 
     def on_settings(self, changed: set[type]):
         """Decode with new settings from the next key picture on."""
-        if DecoderSettings in changed:
+        if changed & {EncoderSettings, DecoderSettings}:
             self.begin_anew('decoder settings changed')
 
     def destroy_node(self):

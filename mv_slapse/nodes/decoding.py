@@ -43,8 +43,8 @@ class Decoding:
         self._gate = Gate(lambda *_: self._decoder is not None, self._feed, HELD)
         CameraInput(node, self._on_camera)
         video = node.settings[VideoSettings]
-        self._video = (VideoSource(node, self._deliver, self._flush) if video.source
-                       else VideoTopic(node, self._deliver))
+        self._video = (VideoSource(node, self._deliver, self._flush, self._interrupt)
+                       if video.source else VideoTopic(node, self._deliver))
 
     def restart(self):
         """Forget the stream; the camera stays."""
@@ -60,7 +60,8 @@ class Decoding:
     def _begin(self):
         """Know nothing of the stream."""
         self._newest, self._last = 0, 0
-        self._seen_key = self._is_dropping = self._has_dropped = False
+        self._seen_key = self._is_dropping = False
+        self._gap = ''  # why what comes next does not join what was handed over last
         self._fruitless = float('inf')
 
     def _on_camera(self, camera: Camera):
@@ -111,11 +112,17 @@ class Decoding:
         self._is_dropping = (waited > latency.most
                              or self._is_dropping and not packet.is_key)
         if self._is_dropping:
-            self._has_dropped = True
+            self._gap = OVERLOAD
             latency.report(waited, 'packets dropped')
-        elif self._has_dropped and packet.is_key:
+        elif self._gap == OVERLOAD and packet.is_key:
             self._renew()
         return self._is_dropping
+
+    def _interrupt(self, reason: str):
+        """Begin a new stream, for a reason that the pair over the gap will tell."""
+        self._flush()
+        self._gap = reason
+        self._renew()
 
     def _look_for_fruit(self, records: list[Correspondences] | None):
         """Say why where packets come and no pictures of them: there is an error at most once."""
@@ -142,12 +149,12 @@ class Decoding:
 
     def _hand_over(self, record: Correspondences):
         check_size(self._camera, record.width, record.height, PART)
-        if self._has_dropped:
-            self._has_dropped = False
+        if self._gap:
+            reason, self._gap = self._gap, ''
             if self._last:
                 self._pass_on(Correspondences(
                     record.previous_stamp, self._last, record.width, record.height,
-                    SegmentKind.BROKEN, reason=OVERLOAD))
+                    SegmentKind.BROKEN, reason=reason))
         self._pass_on(record)
 
     def _pass_on(self, record: Correspondences):

@@ -46,6 +46,9 @@ CONDITIONS: dict[str, Condition] = {
         Kind.FAILED, CAMERA, 'the calibration cannot be used', 'calibrate the camera'),
     'qos': Condition(
         Kind.FAILED, ALL, 'publisher and subscription do not fit', 'do what the message says'),
+    'unreachable': Condition(
+        Kind.FAILED, VIDEO, 'the source is not there, or broke off; it is opened again and again',
+        'switch it on, check address and network'),
     'undecodable': Condition(
         Kind.FAILED, VIDEO, 'packets come, key pictures among them, but none can be decoded',
         'check that the topic carries a whole stream of one codec, and that no packets are lost'),

@@ -1,40 +1,51 @@
 """Video from a file or a URL, read in a thread of its own."""
 
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import dataclass, replace
 from queue import Empty, Full, Queue
 from threading import Event, Thread
 import time
 
 from mv_slapse.codec.packet import Packet
-from mv_slapse.codec.source import open_source
+from mv_slapse.codec.source import check_protocol, is_live, open_source, Source
 from mv_slapse.nodes.health import HINDERS
 from mv_slapse.nodes.settings import require, STAMP_ORIGINS, VideoSettings
 from mv_slapse.nodes.shell import Shell
 
 QUEUE_LENGTH = 32
+FIRST_WAIT, LONGEST_WAIT = 0.5, 8.0  # [s] before a live source is opened again
 LIVE_LENGTH = 600  # packets: the node drops what waits too long, the reader must not wait
 
 
 class VideoSource:
-    """Hands packets of ``source`` to the node's executor; the reader waits when it is behind."""
+    """Hands packets of ``source`` to the node's executor; the reader waits when it is behind.
+
+    A camera, or a stream of the network, that is not there or breaks off is opened again, after a
+    wait that doubles from FIRST_WAIT to LONGEST_WAIT.
+    """
 
     def __init__(self, node: Shell, deliver: Callable[[Packet, str], None],
-                 finish: Callable[[], None]):
-        """Open the source and start to read it."""
+                 finish: Callable[[], None], interrupt: Callable[[str], None]):
+        """Start to read; a file is opened here, so that a wrong one ends the node.
+
+        ``interrupt`` is told why where a stream begins anew.
+        """
         settings = node.settings[VideoSettings]
         self._node, self._deliver, self._finish = node, deliver, finish
+        self._interrupt = interrupt
         self._frame = settings.camera_frame or 'camera_optical'
-        self._source = open_source(settings.source)
-        live = '://' in settings.source and not settings.source.startswith('file:')
-        self._is_live = live or Path(settings.source).is_char_device()
+        self._name = settings.source
+        check_protocol(self._name)
+        self._is_live = is_live(self._name)
         self._pace = _Pace(0.0 if self._is_live else settings.source_rate)
-        origin = require('stamp_origin', settings.stamp_origin, STAMP_ORIGINS)
-        self._start = node.get_clock().now().nanoseconds if origin == 'clock' else 0
+        self._origin = require('stamp_origin', settings.stamp_origin, STAMP_ORIGINS)
+        self._start: int | None = None
+        self._last, self._at = 0, 0.0
         self._queue: Queue = Queue(LIVE_LENGTH if self._is_live else QUEUE_LENGTH)
         self._stop = Event()
         self._guard = node.create_guard_condition(self._drain)
-        self._thread = Thread(target=self._read, daemon=True)
+        first = None if self._is_live else open_source(self._name)
+        self._thread = Thread(target=self._read, args=(first,), daemon=True)
         self._thread.start()
 
     def restart(self):
@@ -45,20 +56,30 @@ class VideoSource:
         self._stop.set()
         self._thread.join(timeout=1.0)
 
-    def _read(self):
-        """Read to the end; what goes wrong is handed on like a packet, and ends the reading."""
-        ending = None
-        try:
-            for packet in self._source.packets():
-                self._pace.wait(packet.stamp, self._stop)
-                if not self._put(packet):
-                    break
-            self._source.close()
-        except Exception as error:
-            ending = error
-        self._put(ending)
+    def _read(self, source: Source | None):
+        """Read to the end; what goes wrong is handed on like a packet."""
+        wait = FIRST_WAIT
+        while not self._stop.is_set():
+            ending: Exception | None = None
+            try:
+                source = source or open_source(self._name)
+                has_end = source.has_end
+                for packet in source.packets():
+                    wait = FIRST_WAIT
+                    self._pace.wait(packet.stamp, self._stop)
+                    if not self._put(packet):
+                        break
+                source.close()
+            except Exception as error:
+                ending, has_end = error, False
+            if not self._is_live or has_end:
+                self._put(_End(ending))
+                return
+            self._put(_Break(ending, wait))
+            self._stop.wait(wait)
+            source, wait = None, min(2 * wait, LONGEST_WAIT)
 
-    def _put(self, item: Packet | Exception | None) -> bool:
+    def _put(self, item: '_Item') -> bool:
         """Queue what was read; only a file can wait, a live stream goes on."""
         while not self._stop.is_set():
             try:
@@ -75,14 +96,36 @@ class VideoSource:
             item, came = self._queue.get_nowait()
         except Empty:
             return
-        if not isinstance(item, Packet):
-            self._end(item)
+        if isinstance(item, _End):
+            self._end(item.error)
+        elif isinstance(item, _Break):
+            self._break_off(item)
         elif not self._node.paused:
-            moved = Packet(item.data, item.stamp + self._start, item.is_key, item.codec,
-                           item.extradata)
+            moved = replace(item, stamp=item.stamp + self._offset())
+            self._last, self._at = max(self._last, moved.stamp), time.monotonic()
             self._node.latency.begin(time.monotonic() - came if self._is_live else 0.0)
             self._node.attempt('source', self._deliver, moved, self._frame)
         self._guard.trigger()
+
+    def _offset(self) -> int:
+        """Return what is added to the stamps [ns] of the source as it was opened last."""
+        if self._start is None:
+            self._node.health.leave('unreachable')
+            # The first picture has stamp 0 each time; time may not go back.
+            gap = time.monotonic() - self._at if self._at else 0.0
+            self._start = self._last + round(gap * 1e9)
+            if self._origin == 'clock':
+                self._start = max(self._start, self._node.get_clock().now().nanoseconds)
+        return self._start
+
+    def _break_off(self, item: '_Break'):
+        why = item.error or 'the stream ended'
+        message = f'{why}; it is opened again in {item.wait:g} s'
+        if self._start is not None:
+            self._node.get_logger().warning(message)
+            self._interrupt('the source broke off')
+        self._start = None
+        self._node.health.enter('unreachable', message)
 
     def _end(self, error: Exception | None):
         health = self._node.health
@@ -95,6 +138,24 @@ class VideoSource:
         said = f'the source broke off ({error}): check it and start' if error else (
             'the source ended: start')
         health.enter('ended', f'{said} the node again to play it again')
+
+
+@dataclass(frozen=True)
+class _End:
+    """The source has been read to its end, or to where it cannot be read."""
+
+    error: Exception | None
+
+
+@dataclass(frozen=True)
+class _Break:
+    """A live source is not there; it is opened again after ``wait`` seconds."""
+
+    error: Exception | None
+    wait: float
+
+
+_Item = Packet | _End | _Break
 
 
 class _Pace:

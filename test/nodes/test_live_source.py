@@ -1,0 +1,77 @@
+"""A camera of the network that is not there yet, breaks off, and comes back."""
+
+from contextlib import contextmanager
+import socket
+from threading import Thread
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from mv_slapse import fields  # noqa: E402
+from mv_slapse.encoding.encoder import LOW_LATENCY, write_video  # noqa: E402
+from mv_slapse.errors import UnusableInput  # noqa: E402
+from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402
+from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402
+from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
+from mv_slapse.records import SegmentKind  # noqa: E402
+from mv_slapse.storage.camera_info import write_camera  # noqa: E402
+from mv_slapse_msgs.msg import Correspondences  # noqa: E402
+from nodes import clips  # noqa: E402
+from nodes.bench import messages_of  # noqa: E402
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(('127.0.0.1', 0))
+        return probe.getsockname()[1]
+
+
+@contextmanager
+def camera(port: int, content: bytes, times: int = 1):
+    """Send a stream to so many that connect, one after another, and hang up on each."""
+    with socket.create_server(('127.0.0.1', port)) as server:
+        def serve():
+            for _ in range(times):
+                connection, _ = server.accept()
+                with connection:
+                    connection.sendall(content)
+
+        thread = Thread(target=serve, daemon=True)
+        thread.start()
+        yield thread
+
+
+@pytest.fixture
+def stream(tmp_path) -> bytes:
+    write_video(tmp_path / 'clip.ts', clips.pictures(), clips.FPS, LOW_LATENCY)
+    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    return (tmp_path / 'clip.ts').read_bytes()
+
+
+@pytest.mark.parametrize('origin', ['clock', 'stream'])
+def test_a_camera_that_comes_late_and_breaks_off_is_opened_again(bench, tmp_path, stream, origin):
+    port = free_port()
+    received = bench.listen(Correspondences, 'correspondences')
+    node = bench.start(DecoderNode, source=f'tcp://127.0.0.1:{port}', stamp_origin=origin,
+                       camera_info_url=str(tmp_path / 'camera.yaml'))
+    assert bench.spin(lambda: 'it is opened again in' in messages_of(node), 10)
+    with camera(port, stream, 2) as thread:
+        assert bench.spin(lambda: not thread.is_alive(), 40)
+    assert bench.spin(lambda: [msg for msg in received if msg.kind == SegmentKind.BROKEN], 20)
+    bench.spin(lambda: False, 0.5)
+    stamps = [fields.stamp_from_message(msg.header.stamp) for msg in received]
+    assert stamps == sorted(stamps)
+    broken = [i for i, msg in enumerate(received) if msg.kind == SegmentKind.BROKEN]
+    assert len(broken) == 1
+    assert received[broken[0]].reason == 'the source broke off'
+    # As many before as after, each joined to the one before.
+    assert broken[0] == len(received) - 1 - broken[0] >= 3
+    before = [fields.stamp_from_message(msg.previous_stamp) for msg in received]
+    assert before[1:] == stamps[:-1]
+    assert bench.spin(lambda: 'it is opened again in' in messages_of(node), 10)
+
+
+def test_a_protocol_that_is_not_taken_ends_the_node_at_once(bench):
+    with pytest.raises(UnusableInput, match='protocol not allowed'):
+        bench.start(AllInOneNode, source='ftp://127.0.0.1/a.ts', tf_wait=0.0)
