@@ -35,6 +35,7 @@ from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
 ffmpeg = pytest.importorskip('ffmpeg_image_transport_msgs.msg')
 
+from nodes.network import camera, free_port  # noqa: E402
 from nodes.video import Video  # noqa: E402
 
 EMPTY = np.zeros(0, np.uint8)
@@ -189,6 +190,18 @@ def test_the_end_of_a_source(bench, node_type, tmp_path):
     node = bench.start(node_type, source=str(tmp_path / 'clip.mp4'), source_rate=0.0,
                        camera_info_url=str(tmp_path / 'camera.yaml'), tf_wait=0.0)
     reaches(bench, node, 'ended', 'start the node again')
+
+
+@VIDEO_NODES
+def test_a_live_source_that_is_not_there(bench, node_type, tmp_path):
+    write_video(tmp_path / 'clip.ts', clips.pictures(), clips.FPS)
+    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    port = free_port()
+    node = bench.start(node_type, source=f'tcp://127.0.0.1:{port}', tf_wait=0.0,
+                       camera_info_url=str(tmp_path / 'camera.yaml'))
+    reaches(bench, node, 'unreachable', 'it is opened again in')
+    with camera(port, (tmp_path / 'clip.ts').read_bytes(), held=5.0):
+        leaves(bench, node, 'unreachable')
 
 
 def test_broken_pairs_and_work(bench):

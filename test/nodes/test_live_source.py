@@ -1,9 +1,5 @@
 """A camera of the network that is not there yet, breaks off, and comes back."""
 
-from contextlib import contextmanager
-import socket
-from threading import Thread
-
 import pytest
 
 pytest.importorskip('rclpy')
@@ -19,27 +15,7 @@ from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences  # noqa: E402
 from nodes import clips  # noqa: E402
 from nodes.bench import messages_of  # noqa: E402
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        return probe.getsockname()[1]
-
-
-@contextmanager
-def camera(port: int, content: bytes, times: int = 1):
-    """Send a stream to so many that connect, one after another, and hang up on each."""
-    with socket.create_server(('127.0.0.1', port)) as server:
-        def serve():
-            for _ in range(times):
-                connection, _ = server.accept()
-                with connection:
-                    connection.sendall(content)
-
-        thread = Thread(target=serve, daemon=True)
-        thread.start()
-        yield thread
+from nodes.network import camera, free_port  # noqa: E402
 
 
 @pytest.fixture
