@@ -247,7 +247,8 @@ def for_movers(seen: np.ndarray | None, prior: GroundPrior, belief: HeightBelief
 
 
 def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior,
-                settings: ExtractionSettings, draws: np.ndarray, lone: np.ndarray | None = None) -> PlaneFit | None:
+                settings: ExtractionSettings, draws: np.ndarray,
+                lone: np.ndarray | None = None) -> PlaneFit | None:
     """Find the ground among stationary blocks; None where too few agree, or too many lie below.
 
     Level planes through one block and planes through three neighbours are proposed; the one with
