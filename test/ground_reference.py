@@ -110,20 +110,20 @@ def find_ground(depths, free, prior, rules, draws, lone):
     expected = -planes @ sample.rays.T
     error = np.square((sample.rho - expected) / sample.sigma)
     error[sample.sigma > POLICY['max_blur'] * expected] = np.inf
-    cost = np.minimum(error, rules.cut**2).sum(axis=1) / rules.cut**2 + distance
+    cost = np.minimum(error, rules.epsilon_h**2).sum(axis=1) / rules.epsilon_h**2 + distance
     plane = planes[np.argmin(cost)]
     for _ in range(2):
         mean, information = prior.information(plane)
         plane, covariance = refined(sample[sharp(sample, plane)], plane, mean,
                                     POLICY['ground_dependence'] * information)
-    member = use & sharp(depths, plane) & (np.abs(off_plane(depths, plane)) < rules.cut)
+    member = use & sharp(depths, plane) & (np.abs(off_plane(depths, plane)) < rules.epsilon_h)
     index = np.flatnonzero(member)
     member[index] = lone[index] | large(depths.x[index], rules.min_macroblocks // 4)
     off = off_plane(sample, plane)
-    below = sample[off < -rules.cut]
+    below = sample[off < -rules.epsilon_h]
     log = np.sort(np.log(below.rho / -(below.rays @ plane)))
     alike = np.max(np.searchsorted(log, log + POLICY['alike']) - np.arange(len(log)), initial=0)
-    speaks = alike if known else np.sum(np.abs(off) > rules.cut)
+    speaks = alike if known else np.sum(np.abs(off) > rules.epsilon_h)
     if speaks > member.sum() or prior.distance(plane[None])[0] > 9:
         return None
     return plane, covariance, member

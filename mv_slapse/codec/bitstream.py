@@ -6,6 +6,8 @@ Only start codes, parameter sets and the first bits of slice headers are read (I
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from mv_slapse.geometry.calibration import LARGEST
+
 START = b'\x00\x00\x01'
 NAL_SLICE, NAL_IDR, NAL_SEI, NAL_SPS, NAL_PPS = 1, 5, 6, 7, 8
 SEI_RECOVERY_POINT = 6
@@ -13,7 +15,6 @@ HIGH_PROFILES = (100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135)
 LONGEST_SET = 1024  # bytes of a parameter set; the longest of real encoders have a tenth
 LONGEST_CODE = 32  # zeros before an Exp-Golomb number, H.264 9.1
 COUNTER_BITS = range(4, 17)  # of frame_num and of the picture order, H.264 7.4.2.1.1
-LARGEST = 65536  # px, width or height
 LAST_PPS = 255  # greatest pic_parameter_set_id, H.264 7.4.2.2
 
 

@@ -16,7 +16,6 @@ import numpy as np
 
 SAMPLE = 400  # correspondences that are enough to measure the parallax
 FEWEST = 8  # correspondences that tell a parallax: three unknowns of a rotation, robustly
-NANOSECONDS = 1e9  # in a second
 
 
 class Chainer:
@@ -61,12 +60,12 @@ class Chainer:
         settings = self._settings
         if median_flow(pair) >= settings.max_chain_flow:
             return True
-        return (pair.stamp - pair.previous_stamp >= settings.min_chain_time * NANOSECONDS
+        return (pair.stamp - pair.previous_stamp >= settings.min_chain_time * 1e9
                 and parallax(pair, self._camera) >= settings.min_parallax)
 
     def _is_due(self) -> bool:
         age_after_next = (self._chain.stamp - self._chain.previous_stamp
-                          + self._step) / NANOSECONDS
+                          + self._step) / 1e9
         return (age_after_next > self._settings.max_chain_time
                 or self._links >= self._settings.max_chain or self.is_long(self._chain))
 

@@ -15,7 +15,6 @@ PROTOCOLS = 'rtsp,rtp,udp,tcp,http,https,tls,crypto'
 LOCAL = 'file'  # a playlist from the network must not read files, nor a file's the network
 PATIENCE = 10.0  # s, for a network to answer
 DEFAULT_RATE = Fraction(25)
-NANOSECONDS = 10 ** 9
 
 
 class Source:
@@ -89,7 +88,7 @@ class _Clock:
     def __init__(self, stream, rate: Fraction | None):
         self._base = stream.time_base or Fraction(1, 90000)
         self._start = stream.start_time
-        self._step = Fraction(NANOSECONDS) / (rate or DEFAULT_RATE)
+        self._step = Fraction(10**9) / (rate or DEFAULT_RATE)
         self._count = 0
 
     def stamp(self, packet) -> int:
@@ -99,7 +98,7 @@ class _Clock:
             return round(number * self._step)
         if self._start is None:
             self._start = packet.pts
-        return round((packet.pts - self._start) * self._base * NANOSECONDS)
+        return round((packet.pts - self._start) * self._base * 10**9)
 
 
 def open_source(path_or_url: str | Path) -> Source:

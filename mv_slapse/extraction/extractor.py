@@ -21,7 +21,6 @@ from mv_slapse.motion.estimate import MotionFit, refined_from
 from mv_slapse.motion.observations import BlockObservations, Depths
 from mv_slapse.movers import possibly_dynamic, regions
 from mv_slapse.movers.mask import Silhouettes
-from mv_slapse.movers.possibly_dynamic import BlockDepths
 from mv_slapse.movers.reference_depth import departure, depths_of
 from mv_slapse.records import (
     CameraMotion,
@@ -31,7 +30,7 @@ from mv_slapse.records import (
     MotionStatus,
 )
 from mv_slapse.surfaces import depth_grid, ground, joint, plane_search
-from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride, Vectors
+from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride
 from mv_slapse.surfaces.plane_search import PlaneFit
 from mv_slapse.surfaces.plane_track import KnownPlanes
 import numpy as np
@@ -56,9 +55,6 @@ class PlaneExtractor:
         self._movers = regions.Memory()
         self._silhouettes = Silhouettes()
         self._draws = np.random.default_rng(settings.seed).random((settings.trials, 10))
-        self._rules = plane_search.Rules(
-            settings.epsilon_h, settings.min_macroblocks, settings.trials, settings.radius,
-            settings.max_planes, settings.max_uncertainty)
 
     @one_thread
     def extract(self, correspondences: Correspondences) -> Extraction:
@@ -103,7 +99,7 @@ class PlaneExtractor:
         if turned is not None:
             return turned, rows
         ratio = self._ratio(whole, seen, ~lone, fit)
-        floor, road = self._survey(whole, pair, seen, lone, fit, ratio)
+        floor, road = self._survey(whole, seen, lone, fit, ratio)
         free = status.spread(free, rows, len(whole.x_cur))
         rows = np.flatnonzero(~lone | road)
         blank, evidence = status.only(whole, rows), seen[rows]
@@ -216,8 +212,8 @@ class PlaneExtractor:
             return np.zeros(len(pair), bool)
         rho, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal,
                                                 fit.R_cur_from_prev, fit.t_cur_from_prev)
-        seen = BlockDepths(pair.rays_cur, rho, per_pixel * pair.sigma)
-        return possibly_dynamic.below(seen, prior.normal * prior.inverse_depth, prior.spread)
+        return possibly_dynamic.below(pair.rays_cur, rho, per_pixel * pair.sigma,
+                                      prior.normal * prior.inverse_depth, prior.spread)
 
     def _planes(self, blank, pair, evidence, fit, ratio, prior: GroundPrior,
                 free, road: np.ndarray) -> list[PlaneFit]:
@@ -225,7 +221,7 @@ class PlaneExtractor:
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
         free = free & evidence.has_depth
         found = []
-        floor = ground.find_ground(depths, free, prior, self._rules, self._draws, road)
+        floor = ground.find_ground(depths, free, prior, self._settings, self._draws, road)
         if floor is not None:
             found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
@@ -234,7 +230,7 @@ class PlaneExtractor:
         walls, known = plane_search.stationary_planes(
             depths, free, known,
             prior.normal if floor is None else floor.plane / np.linalg.norm(floor.plane),
-            self._rules, self._rules.max_planes - len(found), self._memory.next_id)
+            self._settings, self._settings.max_planes - len(found), self._memory.next_id)
         newest = int(known.id.max(initial=-1))
         self._memory = replace(
             self._memory, planes=known, next_id=max(self._memory.next_id, newest + 1),
@@ -286,8 +282,7 @@ class PlaneExtractor:
         evidence = found.evidence
         unsure = possibly_dynamic.like_movers(shown, evidence.parallax)
         if seen is not None:
-            unsure |= possibly_dynamic.below(
-                BlockDepths(pair.rays_cur, evidence.rho, evidence.blur), seen)
+            unsure |= possibly_dynamic.below(pair.rays_cur, evidence.rho, evidence.blur, seen)
         return replace(found, planes=planes, moving=shown, doubtful=unsure)
 
     def _ratio(self, blank, seen: BlockObservations, usable, fit) -> baseline.BaselineRatio:
@@ -305,17 +300,16 @@ class PlaneExtractor:
         return self._memory.ground.prior(fit.R_cur_from_prev, fit.t_cur_from_prev, log, sigma,
                                          self._settings.ground_wobble)
 
-    def _survey(self, whole, pair, evidence, lone, fit: MotionFit, ratio):
+    def _survey(self, whole, evidence, lone, fit: MotionFit, ratio):
         """Predict the ground, and tell which lone blocks (N,) bool lie on it."""
         memory = self._memory
         # What flies has no way on the ground.
         turn = rotation.angle(fit.R_cur_from_prev) if memory.ground.mount.rides else 0.0
-        depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, whole.x_cur)
         ride = Ride(ground.course_of(fit.t_cur_from_prev), turn,
-                    memory.is_comparable(whole, ratio))
+                    memory.is_comparable(whole, ratio), self._settings.epsilon_h)
         belief, prior, road = ground.survey(
-            depths, Vectors(pair.sigma, evidence, lone), self._ground_prior(whole, fit, ratio),
-            memory.height.moved(*memory.log_ratio(whole, ratio)), ride, self._settings.epsilon_h)
+            evidence, whole.x_cur, lone, self._ground_prior(whole, fit, ratio),
+            memory.height.moved(*memory.log_ratio(whole, ratio)), ride)
         self._memory = replace(memory, height=belief)
         return prior, road
 

@@ -6,6 +6,7 @@ import cv2
 from mv_slapse.errors import UnusableInput
 import numpy as np
 
+UP = np.array([0.0, -1.0, 0.0])  # of a level camera: optical axes have y down
 LENS_MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
 
 

@@ -7,6 +7,9 @@ On a ray ``x`` (last coordinate 1) its inverse depth is ``-plane @ x``.
 
 import numpy as np
 
+WELL_SEEN = 5  # key frames that show a plane which is worth keeping
+MOST_KEPT = 30  # planes that are kept beside those in view: time grows with them
+
 
 def from_normal_depth(normal: np.ndarray, depth: float) -> np.ndarray:
     """Return the inhomogeneous form of the plane ``normal @ X + depth == 0``."""

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+MAX_SPREAD = 0.2  # a depth's error, as a share of it, beyond which it tells nothing
+KERNEL_WIDTH = 3.0  # of the Geman-McClure kernel of fits that are nearly right [sigma]
+
 
 @dataclass(frozen=True)
 class Pair:

@@ -12,9 +12,8 @@ from mv_slapse.records import Extraction
 import numpy as np
 
 FIRST_ID = 100_000  # moving planes have ids of their own, from here on
-LIFETIME = 500_000_000  # [ns] for which a block is remembered without a vector
+LIFETIME = 500_000_000  # [ns] for which a block is known to be a mover's without a vector
 FADING = 0.85  # of a score from pair to pair
-SECOND = 1e9  # [ns]
 
 
 class History(NamedTuple):
@@ -66,7 +65,7 @@ class Memory:
 
     def after(self, extraction: Extraction, judged: Judged, next_id: int) -> 'Memory':
         """Return what is known after a pair; without a vector FADING of a score is left."""
-        seconds = (extraction.stamp - extraction.previous_stamp) / SECOND
+        seconds = (extraction.stamp - extraction.previous_stamp) / 1e9
         return Memory(extraction.stamp, *compiled.remembered(
             self, extraction.stamp, extraction.width, extraction.height, judged, seconds, FADING,
             LIFETIME), next_id)

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import cv2
 from mv_slapse.geometry.blocks import grid_centres, grid_index, grid_shape
+from mv_slapse.movers.identity import LIFETIME
 from mv_slapse.movers.macroblocks import vote
+from mv_slapse.movers.moving_plane import MIN_BLOCKS
 from mv_slapse.records import Correspondences, Extraction, Label
 import numpy as np
 
-LIFETIME = 500_000_000  # [ns] after which a macroblock is no longer a mover's without evidence
-LEAST = 3  # vectors that tell how a mover moves in the picture
 STRAY = 3.0  # times the median: a vector so far from the middle one is a wrong one
 WEAK = 20.0  # px: a vector errs by 1 px, a mover grows by 0.05 in a pair
 NEVER = -1
@@ -97,7 +97,7 @@ class Silhouettes:
 def _motion(extraction, correspondences, id_) -> _Motion | None:
     """Return the motion of a mover's blocks in the picture, lens and all; None: too few."""
     member = (extraction.plane_id == id_) & (extraction.label == Label.MOVING)
-    if member.sum() < LEAST:
+    if member.sum() < MIN_BLOCKS:
         return None
     x = correspondences.x_cur[member].astype(float)
     vector = correspondences.x_prev[member] - x

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from mv_slapse.geometry import moving_plane
+from mv_slapse.geometry.camera import UP
 from mv_slapse.geometry.moving_plane import LOG_DEPTH, RATE, SLOPE
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import ScalePrior
@@ -18,7 +19,6 @@ MIN_BLOCKS = 4
 UPRIGHT_SIGMA = {True: 0.3, False: 0.5}  # tangent against the vertical; ground known or not
 FREE_SIGMA = 1.0  # of ln Z where only the smallest motion settles it
 FREE_DEPTH = (3.0, 60.0)  # [baseline] between which the smallest motion may lie
-LEVEL = np.array([0.0, 1.0, 0.0])  # "down" for a camera of unknown tilt
 
 
 class Rules(NamedTuple):
@@ -90,7 +90,7 @@ def fit_surfaces(regions: Regions, view: View, ground: np.ndarray | None) -> Sur
     A prior holds each plane upright: its normal ~ w is perpendicular to the ground's, ``ground``
     (3,), n / d in camera k in any unit.
     """
-    down = LEVEL if ground is None else ground / np.linalg.norm(ground)
+    down = -UP if ground is None else ground / np.linalg.norm(ground)
     rules = Rules(upright_sigma=UPRIGHT_SIGMA[ground is not None])
     return Surfaces(*compiled.fit_moving_surfaces(*regions, view, down, rules))
 

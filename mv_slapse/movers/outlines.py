@@ -7,8 +7,6 @@ from mv_slapse.geometry.moving_plane import COVERED
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 
-LOWEST, TALLEST, WIDEST = 0.825, 3.3, 8.25  # [m] of what may be a vehicle or a person
-REPEATED = 0.5  # px within which a vector repeats another
 NOT_KNOWN = np.zeros(3)
 
 
@@ -18,10 +16,13 @@ class Rules(NamedTuple):
     covered: float = COVERED
     macroblock: float = MACROBLOCK
     foot_height: float = 40.0  # px above the lower edge that show how near it is
-    repeated: float = REPEATED
+    repeated: float = 0.5  # px within which a vector repeats another
     relief: float = 0.05  # share of their inverse depth by which bodies are no planes, nor is land
     farthest: float = 9.0  # squared error, in variances, that a block tells at most of land
     dependence: float = 2.0  # blocks that tell as much of it as one
+    lowest: float = 0.825  # [m] of what may be a vehicle or a person,
+    tallest: float = 3.3
+    widest: float = 8.25
     iterations: float = 3.0  # of its reweighting: more change the share by less than a per cent
 
 
@@ -59,4 +60,4 @@ def outlines(regions, K: np.ndarray, ground: np.ndarray | None, level: np.ndarra
     """
     ground, level = (NOT_KNOWN if up is None else up for up in (ground, level))
     return Outlines(*compiled.region_outlines(regions, K, ground, level, RULES),
-                    np.array([WIDEST, TALLEST, LOWEST]) / camera_height)
+                    np.array([RULES.widest, RULES.tallest, RULES.lowest]) / camera_height)

@@ -6,27 +6,17 @@ does without the places that the last pair showed moving, and the last estimate 
 around a mover that move as it does.
 """
 
-from typing import NamedTuple
-
 from mv_slapse.geometry import lattice, moving_plane
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_pixels
 from mv_slapse.motion.estimate import MIN_CORRESPONDENCES
+from mv_slapse.movers.regions import RULES
 from mv_slapse.records import Extraction, Label
 import numpy as np
 
 REACH = (0.3, 1.0)  # of a mover's height below and above it: a bus found by its lower half
 SLACK = (1.0, 0.12)  # px, share of the parallax: by how much a mover's own vectors differ
-DEEP = 0.7  # share of the ground's inverse depth below which nothing still can be
 LEAST_LEFT = 0.3  # share of the blocks that must be left to estimate the motion from
-
-
-class BlockDepths(NamedTuple):
-    """Rays (N, 3), inverse depths and what noise makes of them, (N,), (N,) [1/baseline]."""
-
-    rays: np.ndarray
-    rho: np.ndarray
-    blur: np.ndarray
 
 
 def like_movers(shown: Extraction, parallax: np.ndarray) -> np.ndarray:
@@ -59,13 +49,16 @@ def _around(x):
     return low - (0.0, REACH[1] * height), high + (0.0, REACH[0] * height)
 
 
-def below(seen: BlockDepths, floor: np.ndarray, spread: float = 0.0) -> np.ndarray:
+def below(rays: np.ndarray, rho: np.ndarray, blur: np.ndarray, floor: np.ndarray,
+          spread: float = 0.0) -> np.ndarray:
     """Return the blocks (N,) bool that look farther than the ground (3,) that they hide.
 
-    Nothing still can be there, whatever it is: what drives ahead shows itself so at once.
-    ``spread`` is the standard deviation of the logarithm of the ground's depth.
+    Nothing still can be there, whatever it is: what drives ahead shows itself so at once. By rays
+    (N, 3), inverse depths (N,) and what noise makes of them; ``spread`` is the standard deviation
+    of the logarithm of the ground's depth.
     """
-    return seen.rho + 2 * seen.blur < DEEP * np.exp(-2 * spread) * -(seen.rays @ floor)
+    nearest = RULES.below_ground * np.exp(-2 * spread) * -(rays @ floor)
+    return rho + 2 * blur < nearest
 
 
 def painted(shown: Extraction) -> np.ndarray:

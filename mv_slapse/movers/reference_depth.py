@@ -8,21 +8,19 @@ farther now than all that was seen there has departed.
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from mv_slapse.geometry.two_view import Pair
+from mv_slapse.geometry.two_view import MAX_SPREAD, Pair
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import BlockObservations, Depths
 from mv_slapse.records import Extraction
 import numpy as np
 
-OLDEST = 700_000_000  # [ns]; older depths err by more
-WELL_KNOWN = 0.2  # error of a depth of one pair, as a share, beyond which it tells nothing
-
 
 class Rules(NamedTuple):
     """Constants of departures."""
 
-    youngest: float = 3e8  # [ns] a car has gone 0.1 m then, and 0.8 m at OLDEST
-    well_known: float = WELL_KNOWN
+    youngest: float = 3e8  # [ns] a car has gone 0.1 m then, and 0.8 m
+    oldest: int = 700_000_000  # [ns] then; older depths err by more
+    well_known: float = MAX_SPREAD
     least_seen: float = 3.0  # of nine macroblocks, or an edge could be missed
     farther: float = 0.06  # log of the depth: what motion and common errors of vectors make of it,
     sigmas: float = 2.0  # and as many standard deviations of the block's own
@@ -51,12 +49,12 @@ class Past:
 
         X_cur = R X_prev + t, |t| = 1 = exp(log_ratio) old baselines.
         """
-        return Past(*compiled.carry_points(self.stamp, self.X, stamp, OLDEST, R, t,
+        return Past(*compiled.carry_points(self.stamp, self.X, stamp, RULES.oldest, R, t,
                                            float(np.exp(-log_ratio))))
 
     def noted(self, stamp: int, depths: Depths) -> 'Past':
         """Return it with the depths that stand still in the key frame at ``stamp`` [ns]."""
-        sure = depths.sigma < WELL_KNOWN * depths.rho
+        sure = depths.sigma < MAX_SPREAD * depths.rho
         X = depths.rays[sure] / depths.rho[sure, None]
         return Past(np.concatenate([self.stamp, np.full(len(X), stamp)]),
                     np.concatenate([self.X, X]))

@@ -24,15 +24,11 @@ from mv_slapse.movers.moving_plane import (
     Surfaces,
     View,
 )
-from mv_slapse.movers.outlines import NOT_KNOWN, outlines, REPEATED
+from mv_slapse.movers.outlines import NOT_KNOWN, outlines
+from mv_slapse.movers.outlines import RULES as OUTLINE
 from mv_slapse.movers.score import departures, scores
 from mv_slapse.records import Extraction, Label, MotionStatus, PlaneObservation
 import numpy as np
-
-LEAST_SIGMA = 0.25  # px, of a vector on a small surface, whatever the pair's calibration says
-SHAPE = 0.04  # share of a vector by which it errs as vehicles and people are no planes
-GROWTH = 1.0  # [1/s] to which things grow or shrink before it: contact in a second
-KEPT = 0.5  # of the score at which a region moves: enough for what was or is beside a mover
 
 
 class Rules(NamedTuple):
@@ -45,7 +41,7 @@ class Rules(NamedTuple):
     alike_short: float = 0.15  # share of the median vector that the pixel is at most, down to half
     alike_beside: float = 0.25  # share of a vector beside a region that it is at most
     inside: float = 2.5  # times as much within a region
-    repeated: float = REPEATED
+    repeated: float = OUTLINE.repeated
     column: float = MACROBLOCK / 2  # px across within which a block lies above another
     least: float = 4.0  # blocks, and as many macroblocks less a half
     on_ground: float = 0.2  # share of the ground's inverse depth within which a block is ground
@@ -59,6 +55,10 @@ class Rules(NamedTuple):
     fading: float = FADING
     same_plane: float = 0.7  # share of a region and of a plane in common if they are one
     macroblock: float = MACROBLOCK
+    least_sigma: float = 0.25  # px, of a vector on a small surface, whatever the pair says
+    shape: float = 0.04  # share of a vector by which it errs as vehicles are no planes
+    growth: float = 1.0  # [1/s] of things before a standing camera: contact in a second
+    kept: float = 0.5  # of the score to move: enough for what was or is beside a mover
 
 
 RULES = Rules()
@@ -182,7 +182,7 @@ def _regions(extraction, pair, view, ground):
     Where the camera stands no depth tells how what comes near grows.
     """
     seconds = 1e-9 * (extraction.stamp - extraction.previous_stamp)
-    growth = GROWTH * seconds * (extraction.motion.status is MotionStatus.STANDSTILL)
+    growth = RULES.growth * seconds * (extraction.motion.status is MotionStatus.STANDSTILL)
     alike = _Alike(*pair, *compiled.moving_regions(
         pair, view, NOT_KNOWN if ground.plane is None else ground.plane, ground.nearer, growth,
         RULES))
@@ -196,8 +196,8 @@ def _fitted(alike, view, ground) -> Surfaces:
     """Return the moving planes of all regions."""
     at = alike.members
     parallax = alike.parallax.take(at, 0)
-    shape = SHAPE * np.hypot(parallax[:, 0], parallax[:, 1])
-    sigma = np.hypot(np.maximum(alike.sigma[at], LEAST_SIGMA), shape)
+    shape = RULES.shape * np.hypot(parallax[:, 0], parallax[:, 1])
+    sigma = np.hypot(np.maximum(alike.sigma[at], RULES.least_sigma), shape)
     return fit_surfaces(Regions(alike.x.take(at, 0), alike.x_prev.take(at, 0), sigma, alike.first),
                         view, ground.plane)
 
@@ -225,7 +225,7 @@ def _moves(alike, told, threshold, ground):
     """
     score = np.maximum(told.total, told.gone)
     moves = score >= threshold
-    suspect = score >= KEPT * threshold
+    suspect = score >= RULES.kept * threshold
     if ground.plane is not None and np.any(suspect):
         suspect &= np.maximum.reduceat(alike.under[alike.members], alike.first) > 0
     moves |= suspect & (told.known >= FIRST_ID)

@@ -7,6 +7,7 @@ from mv_slapse.blas import one_thread
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation, two_view
+from mv_slapse.geometry.camera import UP
 from mv_slapse.records import (
     Extraction,
     Label,
@@ -35,11 +36,9 @@ from mv_slapse.scene.scale.speed_log import SpeedLog
 from mv_slapse.scene.state import SceneState
 import numpy as np
 
-UP_CAM = np.array([0.0, -1.0, 0.0])
 ASTRAY = 5.0  # times lost_after: a car at rest may meanwhile be anywhere on the next crossing
 PATIENCE = 5  # key frames in which a plane may contradict the map
 START = 3.0  # factor on the random walk of the velocity while the camera starts to move
-REST_SIGMA = 1.0  # of the log of a first baseline that is guessed
 UNTOLD_SIGMA = 0.5  # of the log of a baseline that nothing tells: a flight may halve its way
 SLOW = 0.1  # share of the highest speed that is guessed where a start shows no known plane
 STANDING = 'the camera stands still'
@@ -106,7 +105,7 @@ class SceneFilter:
 
     def _begin(self, extraction: Extraction):
         """Put {W} at the first key frame."""
-        self._state = scene_state.start(UP_CAM, FREE_SIGMA, 1.0, 0.07)
+        self._state = scene_state.start(UP, FREE_SIGMA, 1.0, 0.07)
         self._sway(np.inf)
         self._progress = Progress(extraction.previous_stamp, ASTRAY * self._settings.lost_after)
 
@@ -383,7 +382,7 @@ class SceneFilter:
         if way:
             return [scene_speed.observed(way, self._settings)]
         if first or progress.rested:
-            sigma = REST_SIGMA if progress.rested or self._is_tied else 1e-3
+            sigma = scene_gauge.UNKNOWN_SCALE if progress.rested or self._is_tied else 1e-3
         elif told:
             return []
         else:

@@ -12,7 +12,7 @@ from mv_slapse.scene.state import Gauge, SceneState
 import numpy as np
 from scipy.linalg import block_diag
 
-UNKNOWN_SCALE = 1.0  # of the log of all lengths: a speed that may as well be any
+UNKNOWN_SCALE = 1.0  # of the log of lengths of which one is guessed: a speed may be any
 LINEAR = 0.2  # rad: beyond, a sine departs from its angle by 1 %
 
 

@@ -11,7 +11,6 @@ from mv_slapse.scene import gating as scene_gate
 from mv_slapse.scene.state import log_baseline, SceneState
 import numpy as np
 
-WIDTH = 3.0  # of the kernel, as in the update
 LEAST = 50  # correspondences whose errors can tell
 SLOW = 0.1  # weight of the newest pair in the running mean: some 10 pairs
 WANDER_TIME = 1.0  # s, of the mean departure of the height: single pairs are noise
@@ -106,4 +105,4 @@ def measured(pair: two_view.Pair, R, t) -> float:
     update weighs it; products with all errors in the window around add up to the variance.
     """
     return compiled.error_dependence(pair.rays_cur, pair.rays_prev, pair.sigma, pair.x_prev,
-                                     pair.focal, R, t, WIDTH)
+                                     pair.focal, R, t, two_view.KERNEL_WIDTH)

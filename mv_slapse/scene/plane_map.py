@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from mv_slapse.geometry.plane import MOST_KEPT, WELL_SEEN
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Extraction, Label, MapPlane, PlaneHandover
 from mv_slapse.scene import gauge as scene_gauge
@@ -12,8 +13,6 @@ import numpy as np
 FARTHEST = 30.0  # an outline ends this many plane depths from the camera: beyond, a block's
 #                  position on a grazing plane is noise
 
-WELL_SEEN = 5  # key frames that show a plane which is worth keeping
-MOST_HELD = 30  # planes in the filter: its time grows with the square of them
 MOST_LEFT = 200  # planes that the filter gave up and the map still shows
 
 
@@ -80,7 +79,7 @@ class SceneMap:
         lasting = {id for id in unseen if self.is_lasting(id)}
         late = [id for id, time in unseen.items() if time > lifetime and id not in lasting]
         away = sorted((id for id in lasting if unseen[id] > lifetime), key=unseen.get)
-        return late + away[max(MOST_HELD - len(unseen) + len(away) + len(late), 0):]
+        return late + away[max(MOST_KEPT - len(unseen) + len(away) + len(late), 0):]
 
     def wait(self, time: int):
         """Let no plane age for a time [ns] in which nothing new came into view."""

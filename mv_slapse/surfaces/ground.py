@@ -8,17 +8,17 @@ key frame to the next, and next to nothing lies below it.
 from dataclasses import dataclass
 
 from mv_slapse.changed import replace
+from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry.camera import UP
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import BlockObservations, Depths
 from mv_slapse.surfaces import height
 from mv_slapse.surfaces.height import HeightBelief, RoadBlocks
-from mv_slapse.surfaces.plane_search import PlaneFit, Rules
+from mv_slapse.surfaces.plane_search import PlaneFit
 import numpy as np
 
-AXIS = np.array([0.0, 0.0, 1.0])
-UP_CAM = (0.0, -1.0, 0.0)  # a level camera: optical axes have y down
 HEIGHT_WOBBLE = 0.02  # change of log(height) between key frames: suspension and slope
 FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for afresh
 GUESSED = 0.5  # the same of a ground that none shows, for movers: it is within a factor of 2.7
@@ -60,7 +60,7 @@ class Mount:
     ``climb`` is how far they led off the ground for as long as can be remembered [rad].
     """
 
-    direction: tuple[float, float, float] = UP_CAM
+    direction: tuple[float, float, float] = tuple(UP)
     spread: float = 0.07
     widest: float = 0.07
     courses: int = 0
@@ -194,48 +194,37 @@ class GroundTrack:
 
 
 @dataclass(frozen=True)
-class Vectors:
-    """What is known of N blocks beside their depths."""
-
-    sigma: np.ndarray  # (N,): standard deviation of a coordinate [px]
-    evidence: BlockObservations
-    unsupported: np.ndarray  # (N,) bool: vectors that no neighbour supports
-
-
-@dataclass(frozen=True)
 class Ride:
-    """How the camera goes: its way (3,) as of ``course_of``, and how far it turns [rad].
+    """How the camera goes, and how far its vectors are believed."""
 
-    ``learns`` tells whether the pair's vectors can be trusted to mean what they say.
-    """
-
-    course: np.ndarray
-    turn: float
-    learns: bool
+    course: np.ndarray  # (3,): its way, as of ``course_of``
+    turn: float  # how far it turns [rad]
+    learns: bool  # whether the pair's vectors can be trusted to mean what they say
+    cut: float  # largest error of a block on the ground [sigma]
 
 
-def survey(depths: Depths, vectors: Vectors, prior: GroundPrior, belief: HeightBelief,
-           ride: Ride, cut: float):
+def survey(seen: BlockObservations, x: np.ndarray, lone: np.ndarray, prior: GroundPrior,
+           belief: HeightBelief, ride: Ride):
     """Learn the height from the blocks before the camera, and tell which lone ones are road.
 
-    ``prior`` and ``belief`` come from the pairs before, the belief in this baseline; ``cut`` is
-    the largest error of a block on the ground [sigma]. Returns both with what this pair shows, and
-    which lone blocks (N,) bool lie on the ground; none where it is not known.
+    All blocks are seen, at pixels x (N, 2); ``lone`` (N,) bool are those whose vectors no
+    neighbour supports. ``prior`` and ``belief`` come from the pairs before, in this baseline.
+    Returns both with what this pair shows, and which lone blocks (N,) bool lie on the ground; none
+    where it is not known.
     """
-    evidence, lone = vectors.evidence, vectors.unsupported
+    depths = Depths(seen.pair.rays_cur, seen.rho, seen.sigma_rho, x)
     way, ahead, drop, ceiling, parallax = compiled.find_way(
-        *depths.columns, evidence.epipolar_inlier, lone, evidence.parallax, prior.normal,
-        ride.course, ride.turn, POLICY)
+        *depths.columns, seen.epipolar_inlier, lone, seen.parallax, prior.normal, ride.course,
+        ride.turn, POLICY)
     if ride.learns:
-        blocks = RoadBlocks(depths, drop, evidence.epipolar_error, vectors.sigma,
-                            evidence.parallax, way)
+        blocks = RoadBlocks(depths, drop, seen.epipolar_error, seen.pair.sigma, seen.parallax, way)
         belief = belief.seen(blocks, prior.tilt, parallax, ceiling)
     prior = prior.informed(belief)
     road = np.zeros(len(depths), bool)
     if prior.spread < height.SURE:
-        at = np.flatnonzero(lone & ahead & evidence.epipolar_inlier & ~evidence.at_infinity)
+        at = np.flatnonzero(lone & ahead & seen.epipolar_inlier & ~seen.at_infinity)
         part = depths[at]
-        road[at] = prior.hold(part, cut) & (part.rho > 0)
+        road[at] = prior.hold(part, ride.cut) & (part.rho > 0)
     return belief, prior, road
 
 
@@ -257,8 +246,9 @@ def for_movers(seen: np.ndarray | None, prior: GroundPrior, belief: HeightBelief
             float(np.exp(2 * FARTHEST * spread)))
 
 
-def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rules,
-                draws: np.ndarray, lone: np.ndarray | None = None) -> PlaneFit | None:
+def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior,
+                settings: ExtractionSettings, draws: np.ndarray,
+                lone: np.ndarray | None = None) -> PlaneFit | None:
     """Find the ground among stationary blocks; None where too few agree, or too many lie below.
 
     Level planes through one block and planes through three neighbours are proposed; the one with
@@ -275,8 +265,8 @@ def find_ground(depths: Depths, free: np.ndarray, prior: GroundPrior, rules: Rul
     found = compiled.find_ground(
         *depths.columns, free, np.zeros(len(depths), bool) if lone is None else lone,
         prior.normal, (prior.tilt, prior.inverse_depth, prior.spread), draws,
-        {**POLICY, 'cut': rules.cut, 'radius': rules.radius,
-         'min_macroblocks': rules.min_macroblocks})
+        {**POLICY, 'cut': settings.epsilon_h, 'radius': settings.radius,
+         'min_macroblocks': settings.min_macroblocks})
     return None if found is None else PlaneFit(*found, is_ground=True)
 
 
@@ -286,7 +276,7 @@ def course_of(t_cur_from_prev: np.ndarray) -> np.ndarray:
     Its axis where that is out of the picture: then the road is what it looks at.
     """
     t = t_cur_from_prev
-    return t * np.sign(t[2]) if abs(t[2]) > IN_VIEW * np.linalg.norm(t) else AXIS
+    return t * np.sign(t[2]) if abs(t[2]) > IN_VIEW * np.linalg.norm(t) else np.eye(3)[2]
 
 
 def _sharp(depths: Depths, plane: np.ndarray) -> np.ndarray:

@@ -4,7 +4,6 @@ from mv_slapse.geometry import two_view
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 
-WIDTH = 3.0  # of the Geman-McClure kernel [sigma]
 LEFT_OUT = -2  # in place of a plane's number: what moves by itself
 
 
@@ -31,7 +30,7 @@ def reestimate(pair: two_view.Pair, motion, planes, index, relief: float, *, ste
     covariance : (6 + 3 P, 6 + 3 P) array
         Of (rotation, direction, planes); singular along t.
     """
-    options = np.array([relief, WIDTH, 1.0, 1.0, 0.0, 0.0])
+    options = np.array([relief, two_view.KERNEL_WIDTH, 1.0, 1.0, 0.0, 0.0])
     return compiled.reestimate(
         *two_view.columns(pair, *motion), np.ascontiguousarray(index, np.int64),
         np.array(planes, float).reshape(-1, 3), options, list(expected), steps)

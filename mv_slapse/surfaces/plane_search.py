@@ -13,8 +13,8 @@ well known by then. Chance planes do not return, or stay vague.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
+from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import Depths
@@ -59,25 +59,8 @@ class PlaneFit:
     is_ground: bool = False
 
 
-@dataclass(frozen=True)
-class Rules:
-    """What makes a plane: settings of the extraction, see ExtractionSettings."""
-
-    cut: float
-    min_macroblocks: int
-    trials: int
-    radius: float
-    max_planes: int
-    max_uncertainty: float
-
-    @cached_property
-    def policy(self) -> dict[str, float]:
-        """Return what the kernel goes by."""
-        return {**POLICY, 'min_macroblocks': self.min_macroblocks}
-
-
 def stationary_planes(depths: Depths, free: np.ndarray, known: KnownPlanes,
-                      up: np.ndarray, rules: Rules, room: int, next_id: int):
+                      up: np.ndarray, settings: ExtractionSettings, room: int, next_id: int):
     """Find known planes again, then new ones: fits with ids, and what to predict to the next pair.
 
     ``depths`` are those of all blocks (N,), with the errors of their vectors only; those of them
@@ -88,12 +71,12 @@ def stationary_planes(depths: Depths, free: np.ndarray, known: KnownPlanes,
     nearby = known[~known.is_away] if len(known) else known
     source, seen, plane, covariance, own, own_covariance, member = compiled.find_planes(
         *depths.columns, free, nearby.plane, nearby.covariance, nearby.seen, up, room,
-        rules.policy)
+        {**POLICY, 'min_macroblocks': settings.min_macroblocks})
     id = np.array([-1 if i < 0 else nearby.id[i] for i in source], np.int64)
     found = KnownPlanes(plane, covariance, id, seen, np.zeros_like(seen))
     lost = known
     new = (id < 0) & (seen >= CONFIRMED)
-    for i in np.flatnonzero(new & (found.spread < rules.max_uncertainty)) if new.any() else ():
+    for i in np.flatnonzero(new & (found.spread < settings.max_uncertainty)) if new.any() else ():
         old = lost.recognised(plane[i], covariance[i])
         id[i] = next_id if old < 0 else old
         next_id += old < 0

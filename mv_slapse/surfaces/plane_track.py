@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 
 from mv_slapse.changed import replace
+from mv_slapse.geometry.plane import MOST_KEPT, WELL_SEEN
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 
@@ -10,9 +11,7 @@ WOBBLE = 0.01  # rad, and share of the depth: change from pair to pair that a fi
 GATE = 14.2  # squared distance of the same plane seen again: 99.7 % of chi-square, 3 degrees
 DRIFT = 0.003  # the same where it is out of view: what the motion of a pair is wrong by
 PATIENCE = 3  # pairs in which a plane may be missing: an I frame's is poor in vectors
-WELL_SEEN = 5  # pairs that show a plane which is worth being known again
 USEFUL = 0.15  # spread at which one plane cannot be told from the next: set-backs differ by 0.2
-MOST = 30  # planes out of view that are kept
 
 
 @dataclass(frozen=True)
@@ -84,10 +83,10 @@ class KnownPlanes:
         soon = (self.seen >= 2) & (self.missed < PATIENCE)
         later = (self.id >= 0) & (self.seen >= WELL_SEEN) & (self.spread < USEFUL)
         left = replace(self, missed=self.missed + 1)[soon | later]
-        if np.count_nonzero(left.is_away) <= MOST:
+        if np.count_nonzero(left.is_away) <= MOST_KEPT:
             return left
         away = left[left.is_away]
-        return left[~left.is_away] + away[np.argsort(away.missed, kind='stable')[:MOST]]
+        return left[~left.is_away] + away[np.argsort(away.missed, kind='stable')[:MOST_KEPT]]
 
     def near(self, plane: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Tell which of them another plane (3,) with its covariance (3, 3) may be, (K,)."""

@@ -4,18 +4,17 @@ from dataclasses import replace
 
 from canyon import motion, views
 import ground_reference
+from mv_slapse.config import ExtractionSettings
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import Depths
 from mv_slapse.surfaces import ground, height
 from mv_slapse.surfaces.ground import GroundPrior
 from mv_slapse.surfaces.height import HeightBelief, RoadBlocks
-from mv_slapse.surfaces.plane_search import Rules
 import numpy as np
 import pytest
 
 UP = np.array([0, -1.0, 0])
-RULES = Rules(cut=3.0, min_macroblocks=20, trials=256, radius=96.0, max_planes=8,
-              max_uncertainty=0.2)
+RULES = ExtractionSettings(radius=96.0, max_uncertainty=0.2)
 PRIORS = [GroundPrior(UP, 0.07), GroundPrior(UP, 0.02, 1 / 1.6, 0.05),
           GroundPrior(UP, 0.03, 1 / 1.7, 0.2), GroundPrior(UP, 0.02, 1.3, 0.02)]
 
@@ -83,7 +82,7 @@ def test_the_ceiling_is_the_median_distance_of_what_is_sharp(rng):
     parallax = rng.uniform(1, 30, len(depths))
 
     def way(depths):
-        return compiled.find_way(*depths.columns, inlier, lone, parallax, UP, ground.AXIS, 0.1,
+        return compiled.find_way(*depths.columns, inlier, lone, parallax, UP, np.eye(3)[2], 0.1,
                                  ground.POLICY)
 
     *_, drop, ceiling, typical = way(depths)

@@ -1,7 +1,7 @@
 """The kernels of movers against their formulas in numpy, on drawn streets with wrong vectors."""
 
 import movers_reference as reference
-from mv_slapse.geometry.camera import to_rays
+from mv_slapse.geometry.camera import to_rays, UP
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import Depths
 from mv_slapse.movers import moving_plane, outlines, reference_depth, regions, score
@@ -63,10 +63,10 @@ def test_each_surface_is_fitted_as_by_the_formula(scene):
     pair, view, ground, _, alike = scene
     at, rules = alike.members, moving_plane.Rules()
     fit = moving_plane.Surfaces(*compiled.fit_moving_surfaces(
-        pair.x[at], pair.x_prev[at], pair.sigma[at], alike.first, view, moving_plane.LEVEL, rules))
+        pair.x[at], pair.x_prev[at], pair.sigma[at], alike.first, view, -UP, rules))
     for i, member in enumerate(reference.split(at, alike.first)):
         theta, covariance, centre, inlier, variance = reference.fit_one(
-            pair.x[member], pair.x_prev[member], pair.sigma[member], view, moving_plane.LEVEL,
+            pair.x[member], pair.x_prev[member], pair.sigma[member], view, -UP,
             rules)
         np.testing.assert_allclose(fit.theta[i], theta, rtol=1e-8, atol=1e-10)
         np.testing.assert_allclose(fit.centre[i], centre, atol=1e-12)
@@ -179,5 +179,5 @@ def test_regions_that_do_not_follow_each_other_are_refused(first, rng):
     x = rng.uniform(0, 100, (4, 2))
     with pytest.raises(ValueError, match='fit_moving_surfaces: first must rise'):
         compiled.fit_moving_surfaces(x, x, np.ones(4), np.array(first),
-                                     View(np.eye(3), np.eye(3), np.zeros(3)), moving_plane.LEVEL,
+                                     View(np.eye(3), np.eye(3), np.zeros(3)), -UP,
                                      moving_plane.Rules())

@@ -1,21 +1,23 @@
 """Planes of a pair against numpy."""
 
+from mv_slapse.config import ExtractionSettings
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.surfaces.plane_search import Rules
+from mv_slapse.surfaces.plane_search import POLICY
 from mv_slapse.surfaces.plane_track import KnownPlanes
 import numpy as np
 import pytest
 import surfaces_reference
 from walls import UP, walls
 
-RULES = Rules(3.0, 20, 256, 96.0, 8, 0.12)
+RULES = ExtractionSettings(radius=96.0, max_uncertainty=0.12)
 
 
 def found(depths, known, room=8, rules=RULES):
     """Return what the kernel finds."""
     return compiled.find_planes(
         depths.rays, depths.rho, depths.sigma, depths.x.astype(float), np.ones(len(depths), bool),
-        known.plane, known.covariance, known.seen, UP, room, rules.policy)
+        known.plane, known.covariance, known.seen, UP, room,
+        {**POLICY, 'min_macroblocks': rules.min_macroblocks})
 
 
 @pytest.mark.parametrize(('sigma', 'claimed'), [(0.025, 0.025), (0.04, 0.015), (0.01, 0.03)])
@@ -68,7 +70,7 @@ def test_means_count_each_estimate_by_its_information(rng):
 
 def test_a_missing_constant_and_a_wrong_array_are_named():
     depths, known = walls()[0], KnownPlanes.none()
-    policy = {name: value for name, value in RULES.policy.items() if name != 'lean'}
+    policy = {name: value for name, value in POLICY.items() if name != 'lean'}
     with pytest.raises(ValueError, match='no constant lean'):
         compiled.find_planes(depths.rays, depths.rho, depths.sigma, depths.x,
                              np.ones(len(depths), bool), known.plane, known.covariance,

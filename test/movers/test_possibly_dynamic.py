@@ -3,7 +3,6 @@
 from mv_slapse.geometry import epipolar
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.movers import possibly_dynamic
-from mv_slapse.movers.possibly_dynamic import BlockDepths
 from mv_slapse.records import (
     CameraMotion,
     Extraction,
@@ -31,7 +30,7 @@ def depths_of(x, x_prev):
     rays = to_rays(K, x)
     rho, per_pixel = epipolar.inverse_depth(rays, to_rays(K, x_prev), np.diag(K)[:2], np.eye(3),
                                             FORWARD)
-    return BlockDepths(rays, rho, 0.3 * per_pixel)
+    return rays, rho, 0.3 * per_pixel
 
 
 def test_what_drives_ahead_on_the_road_looks_farther_than_the_road():
@@ -40,15 +39,15 @@ def test_what_drives_ahead_on_the_road_looks_farther_than_the_road():
     depth = np.where(road > 0, road, 30.0)
     for speed, expected in ((0.0, []), (0.5, [0, 1, 2]), (1.0, [0, 1, 2]), (-0.5, [])):
         pair = depths_of(x, before(x, depth, (0.0, 0.0, speed)))
-        found = possibly_dynamic.below(pair, GROUND)
+        found = possibly_dynamic.below(*pair, GROUND)
         assert np.flatnonzero(found).tolist() == expected
 
 
 def test_an_unsure_ground_calls_less_below_it():
     x = np.array([[320.0, 340.0]])
     pair = depths_of(x, before(x, 1.25 / to_rays(K, x)[:, 1] * 1.6))
-    assert possibly_dynamic.below(pair, GROUND).all()
-    assert not possibly_dynamic.below(pair, GROUND, 0.2).any()
+    assert possibly_dynamic.below(*pair, GROUND).all()
+    assert not possibly_dynamic.below(*pair, GROUND, 0.2).any()
 
 
 @pytest.fixture

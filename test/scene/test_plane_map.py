@@ -193,7 +193,7 @@ def test_walls_out_of_view_are_held_up_to_a_number_and_others_for_a_time(canyon,
     late = stamp(3) + int(3e9)
     assert known.overdue(state, stamp(4), int(2e9)) == []
     assert sorted(known.overdue(state, late, int(2e9))) == [GROUND, 50]
-    monkeypatch.setattr(scene_map, 'MOST_HELD', 1)
+    monkeypatch.setattr(scene_map, 'MOST_KEPT', 1)
     walls = set(state.planes) - {GROUND, 50}
     overdue = known.overdue(state, late, int(2e9))
     assert len(walls - set(overdue)) == 1

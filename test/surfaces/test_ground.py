@@ -4,20 +4,20 @@ from dataclasses import replace
 
 from canyon import CANYON, motion, views
 import formulas
+from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry import plane as plane_geometry
+from mv_slapse.geometry.two_view import Pair
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import BlockObservations, Depths
 from mv_slapse.surfaces import ground, height
-from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride, Vectors
-from mv_slapse.surfaces.plane_search import Rules
+from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride
 from numeric import jacobian
 import numpy as np
 import pytest
 
 ROAD = CANYON[0]
 UP = np.array([0, -1.0, 0])
-RULES = Rules(cut=3.0, min_macroblocks=20, trials=256, radius=96.0, max_planes=8,
-              max_uncertainty=0.2)
+RULES = ExtractionSettings(radius=96.0, max_uncertainty=0.2)
 FRESH = GroundPrior(UP, 0.07)
 
 
@@ -228,8 +228,9 @@ def test_a_known_ground_is_seen_in_a_few_lone_blocks(rng):
 def observed(depths, parallax):
     """Return right vectors that show some depths."""
     n = len(depths)
+    pair = Pair(depths.rays, depths.rays, depths.x, np.full(n, 0.3), np.eye(3))
     no, yes, flow = np.zeros(n, bool), np.ones(n, bool), np.c_[parallax, np.zeros(n)]
-    return BlockObservations(None, np.zeros(n), depths.rho, depths.sigma, depths.sigma,
+    return BlockObservations(pair, np.zeros(n), depths.rho, depths.sigma, depths.sigma,
                              depths.sigma, parallax, flow, yes, no, no, yes)
 
 
@@ -245,8 +246,8 @@ def surveyed(rng, prior, learns=True, turn=0.0, n=120):
     rho[wrong] *= np.exp(rng.uniform(-2, 2, len(wrong)))
     depths = replace(depths, rho=rho)
     evidence = observed(depths, np.clip(500 * rho, 5, 50))
-    result = ground.survey(depths, Vectors(np.full(len(rho), 0.3), evidence, lone), prior,
-                           height.HeightBelief.blank(), Ride(ground.AXIS, turn, learns), 3.0)
+    result = ground.survey(evidence, depths.x, lone, prior, height.HeightBelief.blank(),
+                           Ride(np.eye(3)[2], turn, learns, 3.0))
     return *result, lone, wrong
 
 
@@ -360,7 +361,7 @@ def test_the_road_lies_along_the_course_not_along_the_axis():
     near, none = np.full(4, 0.2), np.zeros(4, bool)
     by_axis, by_course = (compiled.find_way(
         rays, near, 0.1 * near, 300 * rays[:, :2], ~none, none, near, UP, course, 0.0,
-        ground.POLICY)[1] for course in (ground.AXIS, np.array([-0.3, 0.0, 1.0])))
+        ground.POLICY)[1] for course in (np.eye(3)[2], np.array([-0.3, 0.0, 1.0])))
     np.testing.assert_array_equal(by_axis, [False, True, True, False])
     np.testing.assert_array_equal(by_course, [True, False, True, False])
 
@@ -376,9 +377,8 @@ def test_cars_beside_the_road_do_not_teach_a_height_of_their_own(rng):
     for shape in (rays[:, 1] / 0.1, np.ones(len(x))):
         depths = Depths(rays, rho * shape, sigma * shape, x + 500.0)
         belief, *_ = ground.survey(
-            depths, Vectors(np.full(len(x), 0.3), observed(depths, parallax), none),
-            replace(FRESH, tilt=0.01), height.HeightBelief.blank(), Ride(ground.AXIS, 0.0, True),
-            3.0)
+            observed(depths, parallax), depths.x, none, replace(FRESH, tilt=0.01),
+            height.HeightBelief.blank(), Ride(np.eye(3)[2], 0.0, True, 3.0))
         spreads.append(belief.spread)
     assert spreads[0] < 0.6
     assert spreads[1] > 1.5
@@ -393,8 +393,6 @@ def test_blocks_far_to_the_side_do_not_tilt_the_ground(rng):
     height = np.where(aside, 1.4, 1.65)
     rho = rays[:, 1] / height
     depths = Depths(rays, rho, 0.03 * rho, 500 * rays[:, :2] + 500)
-    rules = Rules(3.0, 20, 256, 96.0, 8, 0.2)
-    fit = find(depths, np.ones(len(rho), bool), GroundPrior(up, 0.07), rng,
-               rules=rules)
+    fit = find(depths, np.ones(len(rho), bool), GroundPrior(up, 0.07), rng)
     np.testing.assert_allclose(fit.plane, up / 1.65, atol=1e-3)
     assert not (fit.member & aside).any()

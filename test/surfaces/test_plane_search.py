@@ -2,16 +2,15 @@
 
 from dataclasses import replace
 
+from mv_slapse.config import ExtractionSettings
 from mv_slapse.surfaces import plane_search
-from mv_slapse.surfaces.plane_search import Rules
 from mv_slapse.surfaces.plane_track import KnownPlanes
 import numpy as np
 import pytest
 from walls import UP, WALLS, walls
 
 NONE = KnownPlanes.none()
-RULES = Rules(cut=3.0, min_macroblocks=20, trials=256, radius=96.0, max_planes=8,
-              max_uncertainty=0.12)
+RULES = ExtractionSettings(radius=96.0, max_uncertainty=0.12)
 
 
 def find(depths, known=NONE, free=None, rules=RULES, room=8, next_id=0):

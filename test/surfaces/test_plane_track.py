@@ -102,4 +102,4 @@ def test_a_new_plane_is_the_nearest_of_those_out_of_view_or_another():
 
 def test_the_longest_out_of_view_are_given_up_first():
     planes = together([gone(9, 0, id_=99), *(gone(9, 10 + i, id_=i) for i in range(40))])
-    assert planes.unseen().id.tolist() == [99, *range(known_planes.MOST)]
+    assert planes.unseen().id.tolist() == [99, *range(known_planes.MOST_KEPT)]

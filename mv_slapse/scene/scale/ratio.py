@@ -24,9 +24,9 @@ from mv_slapse.scene.state import (
 import numpy as np
 
 # Of the log of a baseline: beyond, it may as well be none at all. Guessed after a rest it is
-# unsure by 1 (scene.REST_SIGMA): the pairs after it keep to that guess, or each would guess anew.
+# unsure by 1, gauge.UNKNOWN_SCALE: the pairs after it keep to that guess, or each would guess
+# anew.
 VAGUE = 1.2
-MAX_SPREAD = 0.2  # a depth's error, as a share of it, beyond which it does not count
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def depths_of(pair: two_view.Pair, motion: CameraMotion, settings: SceneSettings
     """Return what the stationary blocks of a pair (N,) tell, none more than its relief lets it."""
     R, t = motion.R_cur_from_prev, motion.t_cur_from_prev
     slope = compiled.depth_slope(pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, R, t,
-                                 MAX_SPREAD, settings.relief)
+                                 two_view.MAX_SPREAD, settings.relief)
     slope[3:] -= t * (t @ slope[3:])
     return Depths(R, t, slope, float(slope @ motion.covariance @ slope) * settings.dependence)
 

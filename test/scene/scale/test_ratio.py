@@ -60,7 +60,7 @@ def test_a_motion_that_errs_makes_depths_wrong_by_what_their_slope_says():
     rho, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal,
                                             wrong.R_cur_from_prev, scene.t)
     true, _ = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, scene.R, scene.t)
-    sure = SIGMA * per_pixel < scene_ratio.MAX_SPREAD * rho
+    sure = SIGMA * per_pixel < two_view.MAX_SPREAD * rho
     weight = 1 / (np.square(SIGMA * per_pixel / rho) + SceneSettings().relief**2)[sure]
     expected = weight @ np.log(true[sure] / rho[sure]) / weight.sum()
     assert abs(expected) > 0.003
