@@ -31,16 +31,16 @@ from unittest import mock  # noqa: E402
 import av  # noqa: E402
 import cv2  # noqa: E402
 from mv_slapse.codec.decoder import CorrespondenceDecoder  # noqa: E402
-from mv_slapse.codec.frames import FrameDecoder  # noqa: E402
-from mv_slapse.codec.packet import Packet  # noqa: E402
-from mv_slapse.codec.source import open_source  # noqa: E402
-from mv_slapse.config import SceneSettings, Settings  # noqa: E402
-from mv_slapse.encoding.encoder import (  # noqa: E402
+from mv_slapse.codec.encoding.encoder import (  # noqa: E402
     Encoding,
     LOW_LATENCY,
     pictures,  # noqa: E402
     write_video,
 )
+from mv_slapse.codec.frames import FrameDecoder  # noqa: E402
+from mv_slapse.codec.packet import Packet  # noqa: E402
+from mv_slapse.codec.source import open_source  # noqa: E402
+from mv_slapse.config import SceneSettings, Settings  # noqa: E402
 from mv_slapse.errors import MvSlapseError  # noqa: E402
 from mv_slapse.evaluation import trajectory  # noqa: E402
 from mv_slapse.geometry.camera import Camera  # noqa: E402

@@ -15,7 +15,7 @@ FILES = sorted(PACKAGE.rglob('*.py'))
 ROS = ('rclpy', 'rcl_interfaces', 'builtin_interfaces', 'std_msgs', 'std_srvs', 'geometry_msgs',
        'nav_msgs', 'sensor_msgs', 'visualization_msgs', 'diagnostic_msgs', 'tf2_msgs', 'tf2_ros',
        'foxglove_msgs', 'ffmpeg_image_transport_msgs', 'mv_slapse_msgs', 'ament_index_python')
-HOME = {**dict.fromkeys(ROS, 'nodes'), 'launch': 'launch', 'launch_ros': 'launch',
+HOME = {**dict.fromkeys(ROS, 'nodes'), 'launch': 'launch', 'launch_ros': 'launch', 'av': 'codec',
         'rosbags': 'storage', 'mcap': 'storage', 'argparse': 'tools',
         'mv_slapse_kernels': 'kernels'}
 ROOMS = ('codec', 'motion', 'surfaces', 'movers', 'extraction', 'filters', 'scene', 'obstacles')
@@ -33,7 +33,6 @@ BELOW = {
     'kernels': {'errors'},
     'geometry': {*BASE, 'kernels'},
     'codec': LOW,
-    'encoding': {*LOW, 'codec'},
     'motion': LOW,
     'surfaces': {*LOW, 'motion'},
     'movers': {*LOW, 'motion', 'surfaces'},
@@ -44,7 +43,7 @@ BELOW = {
     'evaluation': {*LOW, 'storage'},
     'pipeline': {*LOW, *ROOMS},
     'storage': {*LOW, 'codec', 'fields', 'picture_size', 'video_messages', 'view_fields'},
-    'nodes': {*LOW, *ROOMS, 'encoding', 'pipeline', 'storage', 'fields', 'field_values',
+    'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'fields', 'field_values',
               'message_checks', 'video_messages', 'view_fields'},
 }
 
@@ -93,7 +92,6 @@ def test_a_library_is_imported_only_in_its_folder(path):
     folder = folder_of(path)
     names = {name.split('.')[0] for name in imported(path)}
     assert not {name for name in names if HOME.get(name, folder) != folder}
-    assert 'av' not in names or folder in ('codec', 'encoding')
 
 
 @pytest.mark.parametrize('path', FILES, ids=module_of)

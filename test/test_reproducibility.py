@@ -9,7 +9,7 @@ import sys
 from typing import NamedTuple
 
 from conftest import ROOT
-from mv_slapse.encoding.encoder import write_video
+from mv_slapse.codec.encoding.encoder import write_video
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.simulation.truth import film
 from mv_slapse.storage.camera_info import write_camera

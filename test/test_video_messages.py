@@ -4,10 +4,10 @@ import cv2
 from mv_slapse import video_messages
 from mv_slapse.codec import bitstream
 from mv_slapse.codec.decoder import CorrespondenceDecoder
+from mv_slapse.codec.encoding.encoder import encode, Encoding
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.source import open_source
 from mv_slapse.config import DecoderSettings
-from mv_slapse.encoding.encoder import encode, Encoding
 from mv_slapse.errors import UnusableInput
 from mv_slapse.message_checks import InvalidMessage
 from mv_slapse.video_messages import (

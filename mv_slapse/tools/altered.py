@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from mv_slapse.encoding.encoder import Encoding, pictures
+from mv_slapse.codec.encoding.encoder import Encoding, pictures
 from mv_slapse.evaluation.truth import read_arrays
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.storage.tables import read_table

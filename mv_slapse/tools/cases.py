@@ -10,7 +10,13 @@ from itertools import islice, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mv_slapse.encoding.encoder import Encoding, leave_out, LOW_LATENCY, pictures, write_video
+from mv_slapse.codec.encoding.encoder import (
+    Encoding,
+    leave_out,
+    LOW_LATENCY,
+    pictures,
+    write_video,
+)
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed
 from mv_slapse.simulation.flight import FISHEYE, Flight, FlightSettings, WIDE

@@ -8,8 +8,8 @@ from pathlib import Path
 import sys
 from typing import Any
 
+from mv_slapse.codec.encoding.encoder import Encoding, write_video
 from mv_slapse.config import SceneSettings, Settings
-from mv_slapse.encoding.encoder import Encoding, write_video
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.simulation.truth import film
 from mv_slapse.storage.camera_info import write_camera

@@ -125,8 +125,8 @@ def motion_vectors() -> Finding:
 def measure_shift() -> tuple[float, int]:
     """Return the motion [px/frame] that a small clip's vectors show, and their number."""
     from mv_slapse.codec.decoder import CorrespondenceDecoder
+    from mv_slapse.codec.encoding.encoder import encode, Encoding
     from mv_slapse.config import DecoderSettings
-    from mv_slapse.encoding.encoder import encode, Encoding
     import numpy as np
     scene = np.random.default_rng(0).integers(0, 256, (12, 20)).astype(np.uint8)
     scene = np.kron(scene, np.ones((8, 8), np.uint8))

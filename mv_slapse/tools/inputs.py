@@ -5,10 +5,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from mv_slapse.codec.encoding.recoder import Recoder
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.codec.source import open_source
 from mv_slapse.config import EncoderSettings
-from mv_slapse.encoding.recoder import Recoder
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed

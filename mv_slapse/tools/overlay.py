@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+from mv_slapse.codec.encoding.encoder import Encoding, write_video
+from mv_slapse.codec.encoding.recoder import PictureDecoder
 from mv_slapse.config import EncoderSettings
-from mv_slapse.encoding.encoder import Encoding, write_video
-from mv_slapse.encoding.recoder import PictureDecoder
 from mv_slapse.errors import UsageError
 from mv_slapse.evaluation import detection
 from mv_slapse.geometry.blocks import MACROBLOCK

@@ -2,7 +2,7 @@ from fractions import Fraction
 
 import av
 from mv_slapse.codec import bitstream, places
-from mv_slapse.encoding.encoder import configure, encode, Encoding, LOW_LATENCY
+from mv_slapse.codec.encoding.encoder import configure, encode, Encoding, LOW_LATENCY
 import pictures
 import pytest
 

@@ -2,8 +2,8 @@ from dataclasses import replace
 
 from mv_slapse.codec import decoder
 from mv_slapse.codec.decoder import CorrespondenceDecoder
+from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
 from mv_slapse.config import DecoderSettings
-from mv_slapse.encoding.encoder import encode, Encoding, LOW_LATENCY
 from mv_slapse.records import SegmentKind
 import numpy as np
 import pictures

@@ -4,9 +4,9 @@ from io import BytesIO
 from itertools import pairwise
 
 import av
+from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
 from mv_slapse.codec.frames import FrameDecoder
 from mv_slapse.codec.packet import Packet
-from mv_slapse.encoding.encoder import encode, Encoding, LOW_LATENCY
 from mv_slapse.errors import UnusableInput
 from mv_slapse.records import FrameType
 import numpy as np

@@ -3,7 +3,7 @@ from fractions import Fraction
 import av
 from mv_slapse.codec import places
 from mv_slapse.codec.bitstream import Headers
-from mv_slapse.encoding.encoder import encode, Encoding, LOW_LATENCY
+from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
 import pictures
 import pytest
 

@@ -5,8 +5,8 @@ import os
 from threading import Thread
 
 import av
+from mv_slapse.codec.encoding.encoder import Encoding, LOW_LATENCY, write_video
 from mv_slapse.codec.source import open_source
-from mv_slapse.encoding.encoder import Encoding, LOW_LATENCY, write_video
 from mv_slapse.errors import UnusableInput
 import pictures
 import pytest

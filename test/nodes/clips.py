@@ -3,7 +3,7 @@
 from functools import cache
 
 import cv2
-from mv_slapse.encoding.encoder import encode, Encoding
+from mv_slapse.codec.encoding.encoder import encode, Encoding
 import numpy as np
 from sensor_msgs.msg import CameraInfo
 

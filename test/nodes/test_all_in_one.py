@@ -3,7 +3,7 @@ import pytest
 pytest.importorskip('rclpy')
 pytest.importorskip('mv_slapse_msgs')
 
-from mv_slapse.encoding.encoder import write_video  # noqa: E402
+from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
 from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402
 from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402

@@ -8,10 +8,10 @@ pytest.importorskip('mv_slapse_msgs')
 import cv2  # noqa: E402
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.codec.decoder import CorrespondenceDecoder  # noqa: E402
+from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
+from mv_slapse.codec.encoding.recoder import Recoder  # noqa: E402
 from mv_slapse.codec.packet import Picture  # noqa: E402
 from mv_slapse.config import DecoderSettings  # noqa: E402
-from mv_slapse.encoding.encoder import write_video  # noqa: E402
-from mv_slapse.encoding.recoder import Recoder  # noqa: E402
 from mv_slapse.nodes.conversions import camera_from_msg, stamp_to_msg, to_message  # noqa: E402
 from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402

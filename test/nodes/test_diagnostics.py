@@ -10,7 +10,7 @@ pytest.importorskip('mv_slapse_msgs')
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 import made_up  # noqa: E402
 from mv_slapse import fields  # noqa: E402
-from mv_slapse.encoding.encoder import write_video  # noqa: E402
+from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
 from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.nodes import decoding, health, latency, qos, shell  # noqa: E402
 from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402

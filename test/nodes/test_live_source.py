@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from mv_slapse import fields  # noqa: E402
-from mv_slapse.encoding.encoder import LOW_LATENCY, write_video  # noqa: E402
+from mv_slapse.codec.encoding.encoder import LOW_LATENCY, write_video  # noqa: E402
 from mv_slapse.errors import UnusableInput  # noqa: E402
 from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402
 from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402

@@ -13,7 +13,7 @@ pytest.importorskip('mv_slapse_msgs')
 
 from conftest import ROOT  # noqa: E402
 import endings  # noqa: E402
-from mv_slapse.encoding.encoder import write_video  # noqa: E402
+from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
 from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences  # noqa: E402

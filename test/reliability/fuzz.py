@@ -22,9 +22,9 @@ from typing import Any
 import made_up
 from mv_slapse import fields
 from mv_slapse.codec.decoder import CorrespondenceDecoder
+from mv_slapse.codec.encoding.encoder import write_video
 from mv_slapse.codec.source import open_source
 from mv_slapse.config import Settings
-from mv_slapse.encoding.encoder import write_video
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.pipeline import Slapse

@@ -16,8 +16,8 @@ import threading
 import time
 
 from mv_slapse.codec.decoder import CorrespondenceDecoder
+from mv_slapse.codec.encoding.encoder import encode, LOW_LATENCY
 from mv_slapse.config import Settings
-from mv_slapse.encoding.encoder import encode, LOW_LATENCY
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.pipeline import Slapse
 from mv_slapse.storage.results import ResultsWriter

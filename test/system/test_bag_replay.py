@@ -15,8 +15,8 @@ pytest.importorskip('ffmpeg_image_transport_msgs')
 
 from conftest import DATA, ROOT  # noqa: E402
 import endings  # noqa: E402
+from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
 from mv_slapse.config import SceneSettings, Settings  # noqa: E402
-from mv_slapse.encoding.encoder import write_video  # noqa: E402
 from mv_slapse.evaluation import trajectory as evaluation  # noqa: E402
 from mv_slapse.fields import scene_from_messages, stamp_from_message  # noqa: E402
 from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from mv_slapse.codec.encoding.encoder import Encoding, write_video
 from mv_slapse.config import SceneSettings, Settings
-from mv_slapse.encoding.encoder import Encoding, write_video
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.simulation.truth import film
 from mv_slapse.storage.camera_info import read_camera, write_camera

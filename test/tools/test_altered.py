@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import av
-from mv_slapse.encoding.encoder import LOW_LATENCY, pictures, write_video
+from mv_slapse.codec.encoding.encoder import LOW_LATENCY, pictures, write_video
 from mv_slapse.evaluation.truth import read_arrays
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.storage.camera_info import write_camera

@@ -3,8 +3,8 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+from mv_slapse.codec.encoding.encoder import LOW_LATENCY, pictures, write_video
 from mv_slapse.codec.source import open_source
-from mv_slapse.encoding.encoder import LOW_LATENCY, pictures, write_video
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.simulation.flight import FISHEYE
 from mv_slapse.storage.camera_info import write_camera

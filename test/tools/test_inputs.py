@@ -1,6 +1,6 @@
+from mv_slapse.codec.encoding.recoder import Recoder
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.codec.source import open_source
-from mv_slapse.encoding.recoder import Recoder
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.fields import header
 from mv_slapse.storage.bag_writer import BagWriter

@@ -1,4 +1,4 @@
-from mv_slapse.encoding.encoder import Encoding, write_video
+from mv_slapse.codec.encoding.encoder import Encoding, write_video
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.tools import inspect as tool
 from mv_slapse.tools.bag import make_bag

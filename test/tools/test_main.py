@@ -4,7 +4,7 @@ import re
 import subprocess
 import sys
 
-from mv_slapse.encoding.encoder import write_video
+from mv_slapse.codec.encoding.encoder import write_video
 from mv_slapse.simulation.wheels import drawn_speeds
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.tables import read_speeds, write_speeds

@@ -1,7 +1,7 @@
 from types import SimpleNamespace
 
+from mv_slapse.codec.encoding.encoder import Encoding, LOW_LATENCY, write_video
 from mv_slapse.codec.source import open_source
-from mv_slapse.encoding.encoder import Encoding, LOW_LATENCY, write_video
 from mv_slapse.tools.probe import probe, USABLE, WITH_CARE
 import pictures
 import pytest

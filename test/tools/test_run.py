@@ -1,7 +1,7 @@
 import json
 
+from mv_slapse.codec.encoding.encoder import Encoding, write_video
 from mv_slapse.config import Settings
-from mv_slapse.encoding.encoder import Encoding, write_video
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.storage.camera_info import read_camera

@@ -2,10 +2,10 @@
 
 import av
 from mv_slapse.codec import bitstream
+from mv_slapse.codec.encoding.encoder import encoding_of, ImageEncoder
 from mv_slapse.codec.frames import WITH_VECTORS
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.config import EncoderSettings
-from mv_slapse.encoding.encoder import encoding_of, ImageEncoder
 from mv_slapse.errors import UnusableInput
 
 MAX_PIXELS = 64_000_000

@@ -1,7 +1,7 @@
 from mv_slapse.codec.decoder import CorrespondenceDecoder
+from mv_slapse.codec.encoding.recoder import Recoder
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.config import DecoderSettings, EncoderSettings
-from mv_slapse.encoding.recoder import Recoder
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.records import SegmentKind
 from mv_slapse.video_messages import is_key

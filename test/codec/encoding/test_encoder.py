@@ -1,5 +1,11 @@
+from mv_slapse.codec.encoding.encoder import (
+    encode,
+    Encoding,
+    ImageEncoder,
+    LOW_LATENCY,
+    write_video,
+)
 from mv_slapse.codec.source import open_source
-from mv_slapse.encoding.encoder import encode, Encoding, ImageEncoder, LOW_LATENCY, write_video
 from mv_slapse.errors import UsageError
 import numpy as np
 import pictures
