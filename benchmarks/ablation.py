@@ -5,6 +5,8 @@ rules. What was measured is kept in the cache folder and not measured again, so 
 interrupted, and new rules cost only themselves. A figure of a group of rows (a sequence or street
 in all its encodings) counts where it changes by more than twice the scatter: what it differs by
 between versions of the same clip. A rule earns what is worse without it, and costs what is better.
+The scatter is that of different clips, and so does not see what is a little worse in row after
+row: figures of single rows that are worse, and better, are counted beside it.
 """
 
 import argparse
@@ -97,11 +99,24 @@ class Verdict:
         return sorted(found, key=lambda change: change.worse)
 
     @property
+    def single(self) -> tuple[int, int]:
+        """How many figures of single rows are worse without the rule, and how many better."""
+        worse = [measure.better * (a - b) / measure.finest
+                 for measure in gate.MEASURES for name in self.before
+                 for a, b in [[gate.value({name: rows[name]}, measure)
+                               for rows in (self.before, self.after)]]
+                 if a is not None and b is not None]
+        return sum(one > 1 for one in worse), sum(one < -1 for one in worse)
+
+    @property
     def judgement(self) -> str:
         """What this says of the rule."""
         if self.errors:
             return f'needed: {len(self.errors)} rows fail'
         if not self.earned:
+            worse, better = self.single
+            if worse > better + 2 * (worse + better)**0.5:
+                return 'earns a little, row after row'
             return 'costs more than it earns' if self.cost else 'nothing beyond scatter'
         return 'earns' if len(self.earned) > len(self.cost) else 'earns and costs'
 
@@ -126,12 +141,14 @@ def page(verdicts: Sequence[Verdict], commit: str, which: str, n_rows: int) -> s
              f'Made by `python benchmarks/ablation.py --rows {which}` at commit {commit}: '
              f'{n_rows} rows (few: {len(FEW)} kinds of scenes; third: one encoding of each '
              'scene). Columns: all rows without the rule against with it; groups: figures of '
-             'groups that are worse, and better, without it by more than twice the scatter.', '',
-             f'| rule | verdict | groups | same rows | {" | ".join(TOLD)} | CPU |',
-             '|' + ' --- |' * (len(TOLD) + 5)]
+             'groups that are worse, and better, without it by more than twice the scatter; '
+             'single rows: figures of rows that are, by more than the least that counts.', '',
+             f'| rule | verdict | groups | single rows | same rows | {" | ".join(TOLD)} | CPU |',
+             '|' + ' --- |' * (len(TOLD) + 6)]
     for verdict in verdicts:
         lines.append('| ' + ' | '.join([
             verdict.rule.name, verdict.judgement, f'{len(verdict.earned)}, {len(verdict.cost)}',
+            '{}, {}'.format(*verdict.single),
             f'{verdict.same} of {len(verdict.before)}',
             *map(verdict.over_all, TOLD.values()), verdict.time()]) + ' |')
     for verdict in verdicts:

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import cv2
 from mv_slapse.codec.merging import existence
 from mv_slapse.codec.prediction import kernel_frame
-from mv_slapse.geometry.blocks import CELL
 from mv_slapse.geometry.camera import Camera, to_rays
 from mv_slapse.geometry.epipolar import derotate
 from mv_slapse.geometry.rotation import skew
@@ -24,6 +23,8 @@ from mv_slapse.movers.moving_plane import (
 from mv_slapse.records import SegmentKind
 from mv_slapse.scene.observations import Observation, rows
 import numpy as np
+
+CELL = 8  # px, the smallest partition that decoders report
 
 
 class Linearised(NamedTuple):

@@ -297,7 +297,7 @@ def on_ground(z, R, x, block, view):
     swap[2, SLOPE] = depth.by_slope
     R, z = swap @ R @ swap.T, z.copy()
     hidden = contact.point[1] + MACROBLOCK > view.size[1]
-    R[2, 2] += depth.variance + (rules.HIDDEN_CONTACT_SIGMA**2 if hidden else 0.0)
+    R[2, 2] += depth.variance + (rules.CUT_SHARE**2 if hidden else 0.0)
     z[2] = depth.value
     return z, R, _edge(contact, depth.variance)
 

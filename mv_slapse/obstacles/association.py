@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 FORBIDDEN = 1e6
 OVERLAP_COST = 10.0  # of no overlap at all, against a squared distance
-MIN_OVERLAP = 0.1
+MIN_OVERLAP = 0.1  # that counts
 OTHER_ID_COST = 2.0
 RESCUE = 4.0  # a well overlapping detection may be this many gates off, and then counts less
 SAME_ID_RESCUE = 16.0  # the same, if the extractor calls it the same region
@@ -73,13 +73,8 @@ def associate(tracks: Sequence, detections: Sequence[Detection],
               gate: float) -> list[tuple[int, int]]:
     """Return pairs (track, detection) of the cheapest assignment in which none is forbidden.
 
-    Parameters
-    ----------
-    tracks : sequence
-        Of predicted tracks with ``mu``, ``P``, ``x`` (predicted block centres) and ``plane_id``.
-    detections : sequence of Detection
-    gate : float
-        Share of right detections inside the gate.
+    Tracks are predicted, with ``mu``, ``P``, ``x`` (predicted block centres) and ``plane_id``;
+    ``gate`` is the share of right detections inside the gate.
     """
     if not tracks or not detections:
         return []

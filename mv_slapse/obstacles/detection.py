@@ -23,31 +23,20 @@ from mv_slapse.records import (
 import numpy as np
 
 OUTLINE_SHARE = 0.08  # of a region's size: how well its blocks show its middle
-CUT_SHARE = 0.3  # the same where the picture's edge cuts it off
+CUT_SHARE = 0.3  # the same, and of its depth, where the picture's edge cuts it off
 TURN_SHARE = 0.015  # of its motion by a turn of the camera: 0.010 to 0.021 in six rendered spins
 SHAPE_SHARE = 0.03  # of a rate: vehicles are no planes, and their faces move apart
 THINNEST = 0.25  # share of the most blocks in a row or column: a cabin has more of a body
 SLIVER = 2.0  # px by which neighbouring blocks may overlap, as predicted
-HIDDEN_CONTACT_SIGMA = 0.3  # of ln Z where the picture's edge cuts the region off below
 SHARES = np.array([MACROBLOCK, OUTLINE_SHARE, CUT_SHARE])
 
 
 class Edge(NamedTuple):
-    """Lower edge of a region, known to a block, from which its depth comes.
+    """Lower edge of a region, known to a block, from which its depth comes."""
 
-    Attributes
-    ----------
-    row : float
-        [px].
-    half : float
-        The true edge lies within this many rows of it [px].
-    drop : float
-        Rows below the horizon, f times the camera's height over the depth [px].
-    """
-
-    row: float
-    half: float
-    drop: float
+    row: float  # [px]
+    half: float  # the true edge lies within this many rows of it [px]
+    drop: float  # rows below the horizon, f times the camera's height over the depth [px]
 
     def log_depth(self, value: float, rows: float) -> float:
         """Return what ln Z is if the edge lies ``rows`` lower, ``value`` if it lies here."""
@@ -56,38 +45,19 @@ class Edge(NamedTuple):
 
 @dataclass(frozen=True)
 class Detection:
-    """A moving plane of one key frame pair.
+    """A moving plane of one key frame pair."""
 
-    Attributes
-    ----------
-    id : int
-        Of the plane observation.
-    z, R : (8,), (8, 8) float64
-        Observed state as in obstacle_motion, and its covariance.
-    has_depth : bool
-        The depth is evidence; else a prior that only a new track may use.
-    has_rate : bool
-        The rate is evidence; else only the place is, and an obstacle with no other coasts.
-    x, block : (N, 2) float64
-        Centres and sizes of its blocks [px].
-    scale_prior : ScalePrior
-    edge : Edge
-        Where it meets the ground; only read where the depth is evidence.
-    score, departed : float, float
-        How much rather its region moves than not, and has left where it stood, as of
-        PlaneObservation.
-    """
-
-    id: int
-    z: np.ndarray
-    R: np.ndarray
-    has_depth: bool
-    x: np.ndarray
-    block: np.ndarray
+    id: int  # of the plane observation
+    z: np.ndarray  # (8,): observed state as in motion_model
+    R: np.ndarray  # (8, 8): its covariance
+    has_depth: bool  # the depth is evidence; else a prior that only a new track may use
+    x: np.ndarray  # (N, 2): centres [px]
+    block: np.ndarray  # (N, 2): sizes of its blocks [px]
     scale_prior: ScalePrior
-    edge: Edge
-    score: float = 0.0
-    departed: float = 0.0
+    edge: Edge  # where it meets the ground; only read where the depth is evidence
+    score: float = 0.0  # how much rather its region moves than not,
+    departed: float = 0.0  # and has left where it stood, as of PlaneObservation
+    # the rate is evidence; else only the place is, and an obstacle with no other coasts
     has_rate: bool = True
 
     @cached_property
@@ -234,7 +204,7 @@ def _on_ground(detection, view):
     """Take the depth from the map's ground plane, which is steadier than the pair's own."""
     found = None if view.ground is None else compiled.depth_from_ground(
         detection.z, detection.R, detection.x, detection.block, view.K, view.ground,
-        np.array([COVERED, MACROBLOCK, view.size[1], HIDDEN_CONTACT_SIGMA]))
+        np.array([COVERED, MACROBLOCK, view.size[1], CUT_SHARE]))
     if found is None:
         return detection
     z, R, edge = found

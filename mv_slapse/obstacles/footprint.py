@@ -42,16 +42,9 @@ def may_be_one(whole: Detection, view: View) -> bool:
 def stand_apart(surfaces: Sequence[Detection], extraction: Extraction, view: View) -> bool:
     """Return whether surfaces stand on places that no vehicle covers together.
 
-    A surface stands where its lower edge is if that is the lowest of all, or if the scene shows
-    below it; else it may be any part of what stands there.
-
-    Parameters
-    ----------
-    surfaces : sequence of Detection
-        The first one tells which way they go.
-    extraction : Extraction
-        Whose labels tell what shows below them.
-    view : View
+    A surface stands where its lower edge is if that is the lowest of all, or if the labels of the
+    extraction show the scene below it; else it may be any part of what stands there. The first one
+    tells which way they go.
     """
     if view.ground is None or not surfaces[0].has_depth:
         return False

@@ -10,7 +10,6 @@ from typing import NamedTuple
 from mv_slapse.config import ExtractionSettings, ObstacleSettings
 from mv_slapse.filters import ekf
 
-STILL_CONFIDENCE = 0.99  # "it stands still" is given up beyond this
 # Log-likelihood that successive detections are one body, against regions of wrong vectors, as
 # measured (496 detections of both kinds): normalised innovation / dof in the median 0.2 (rendered)
 # and 0.7 (real) against 2.3, overlap with the predicted box 0.76 against 0.43.
@@ -26,35 +25,18 @@ STILL_SHARE = 0.6  # of an obstacle's blocks that the labels call stationary
 
 
 class Evidence(NamedTuple):
-    """What one key frame pair says of a track.
+    """What one key frame pair says of a track."""
 
-    Attributes
-    ----------
-    start, stamp : int, int
-        Of the pair [ns].
-    statistic : float
-        Of "it stands still" after the update, chi2 of 3 where that is so.
-    nis, dof : float, int
-        Squared Mahalanobis distance of the innovation and its dimension; 0, 0 at the start.
-    speed : float
-        [map unit/s].
-    overlap : float
-        Intersection over union of the detection's box and the predicted one.
-    score : float
-        Of its region, that it moves, chi-square summed over key frame pairs; 0: not known.
-    departed : float
-        The same of what shows that it has left where it stood.
-    """
-
-    start: int
-    stamp: int
-    statistic: float
-    nis: float
-    dof: int
-    speed: float
-    overlap: float = 1.0
+    start: int  # of the pair [ns]
+    stamp: int  # and its end [ns]
+    statistic: float  # of "it stands still" after the update, chi2 of 3 where that is so
+    nis: float  # squared Mahalanobis distance of the innovation
+    dof: int  # and its dimension; 0, 0 at the start
+    speed: float  # [map unit/s]
+    overlap: float = 1.0  # intersection over union of the detection's box and the predicted one
+    # of its region, that it moves, chi-square summed over key frame pairs; 0: not known
     score: float = 0.0
-    departed: float = 0.0
+    departed: float = 0.0  # the same of what shows that it has left where it stood
 
 
 def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSettings,
@@ -129,7 +111,7 @@ def stands_still(evidence: Sequence[Evidence], unit: float, settings: ObstacleSe
         return False
     recent = within(evidence, settings.still_time)
     lasted = 1e-9 * (recent[-1].stamp - recent[0].start)
-    level = ekf.chi2_bound(STILL_CONFIDENCE, 3)
+    level = ekf.chi2_bound(ekf.CONFIDENCE, 3)
     return lasted >= settings.still_time - 1e-6 and all(
         e.statistic < level and e.speed < settings.still_speed * unit for e in recent)
 
@@ -138,15 +120,8 @@ def melts_into_scene(speed: float, sigma: float, still_share: float, unit: float
                      settings: ObstacleSettings) -> bool:
     """Return whether an obstacle without detection has stopped rather than vanished.
 
-    Parameters
-    ----------
-    speed, sigma : float, float
-        Of the track and its standard deviation [map unit/s].
-    still_share : float
-        Share of the labelled blocks where it should be that are labelled stationary.
-    unit : float
-        What to take for 1 m/s [map unit/s].
-    settings : ObstacleSettings
+    By its speed and the standard deviation of that [map unit/s], the share of the labelled blocks
+    where it should be that are labelled stationary, and what to take for 1 m/s [map unit/s].
     """
     return still_share >= STILL_SHARE and speed - 2 * sigma < settings.still_speed * unit
 

@@ -28,22 +28,15 @@ SLOPE_LIMIT = 5.0  # steeper than this the surface is seen edge-on
 
 
 class CameraStep(NamedTuple):
-    """Motion of the camera between two key frames, in map units and seconds.
+    """Motion of the camera between two key frames, in map units and seconds."""
 
-    Attributes
-    ----------
-    R_cur_from_prev, t_cur_from_prev : (3, 3), (3,) float64
-    dt : float
-    before, before_covariance : (3,), (3, 3) float64
-        Velocity of the scene relative to the camera at the previous key frame, in its axes: what
-        the relative velocity there contains.
-    """
-
-    R_cur_from_prev: np.ndarray
-    t_cur_from_prev: np.ndarray
+    R_cur_from_prev: np.ndarray  # (3, 3)
+    t_cur_from_prev: np.ndarray  # (3,)
     dt: float
+    # (3,): velocity of the scene relative to the camera at the previous key frame, in its axes:
+    # what the relative velocity there contains
     before: np.ndarray
-    before_covariance: np.ndarray
+    before_covariance: np.ndarray  # (3, 3)
 
 
 class Motion(NamedTuple):
@@ -56,21 +49,11 @@ class Motion(NamedTuple):
 
 def predict(mu: np.ndarray, step: CameraStep, after: np.ndarray, after_covariance: np.ndarray,
             acceleration: float):
-    """Move a state to the next key frame at constant velocity in {W}, (15) of [MVO].
+    """Move a state (8,) to the next key frame at constant velocity in {W}, (15) of [MVO].
 
-    Parameters
-    ----------
-    mu : (8,) array
-    step : CameraStep
-    after, after_covariance : (3,), (3, 3) arrays
-        Velocity of the scene relative to the camera over this step, in current axes.
-    acceleration : float
-        Of the obstacle, standard deviation [unit/s^2].
-
-    Returns
-    -------
-    mu, F, Q : (8,), (8, 8), (8, 8) arrays or None
-        None where the obstacle passes behind the camera.
+    ``after`` (3,) is the velocity of the scene relative to the camera over this step, in current
+    axes, with its covariance (3, 3); ``acceleration`` the obstacle's standard deviation
+    [unit/s^2]. Returns mu, F, Q, or None where the obstacle passes behind the camera.
     """
     return compiled.predict_obstacle(mu, step, after, after_covariance, acceleration,
                                      MANOEUVRE_TIME, SLOPE_NOISE)

@@ -25,7 +25,6 @@ import numpy as np
 
 LEAST_SHARE = 0.5  # of the blocks there that must move with the obstacle
 LEAST_COVERED = 0.3  # share of its box, and of the lower half of that, that these must cover
-GATE = 0.99  # share of its own blocks that pass
 ITERATIONS, COARSE = 8, 3  # of the reweighting, and of these with a wider kernel
 FOLLOW = 0.3  # share by which the outline follows what is found
 WEAK = 1e-6  # share of the prediction's information that counts as seen
@@ -36,15 +35,8 @@ def found(mu: np.ndarray, P: np.ndarray, box: np.ndarray, extraction: Extraction
           settings: ObstacleSettings) -> Detection | None:
     """Return a predicted obstacle's own blocks as a detection without depth, or None.
 
-    Parameters
-    ----------
-    mu, P : (8,), (8, 8) arrays
-        Predicted state.
-    box : (4,) array
-        Predicted box of its body in the picture [px].
-    extraction : Extraction
-        Its planes keep their blocks.
-    view, settings : View, ObstacleSettings
+    ``mu`` (8,) and ``P`` (8, 8) are its predicted state, ``box`` (4,) that of its body in the
+    picture [px]. The extraction's planes keep their blocks.
     """
     at = _free(extraction, box)
     if len(at) < settings.min_macroblocks:
@@ -107,4 +99,4 @@ def _rate(mu, P, rays, extraction, at, view, bias):
     return compiled.redetect_rate(
         mu, view.dt**2 * P[om.RATE, om.RATE], rays, extraction.x_prev[at].astype(float), variance,
         view.dt, (view.K, view.R_cur_from_prev),
-        (ekf.chi2_bound(GATE, 2), WEAK, ITERATIONS, COARSE))
+        (ekf.chi2_bound(ekf.CONFIDENCE, 2), WEAK, ITERATIONS, COARSE))

@@ -11,11 +11,10 @@ from mv_slapse.obstacles import association
 from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles.detection import body_box, box_of, cut_sides, Detection, Edge, is_cut
 from mv_slapse.obstacles.lifecycle import Evidence, within
-from mv_slapse.obstacles.view import norm, View
+from mv_slapse.obstacles.view import norm, UNSCALED_SPEED, View
 from mv_slapse.records import Extraction, Label, Obstacle, ObstacleState, PlaneHandover, ScalePrior
 import numpy as np
 
-UNSCALED_ACCELERATION = 0.1  # [1/s] of the speed, per unit of the setting
 KEPT_EVIDENCE = 2.0  # [s]
 DRIFT_GAIN = 0.3
 UNREST_RANGE = (0.3, 3.0)  # of the acceleration, calm and in a manoeuvre
@@ -23,7 +22,6 @@ EDGE_SHARE = 0.3  # [1/sqrt(s)]
 POINT_SHARE, PART_SHARE = 0.1, 0.5  # of an obstacle's size; the latter at the picture's edge
 FOOT_SIGMA = 2.5  # [px] by which it is wrong for as long as the obstacle looks the same
 SAME_OUTLINE = 0.6  # overlap with the predicted box of 96 % of right detections, or more
-LEAST_SHARED = 0.1  # of it, that counts
 SETTLED = 3  # detections that tell where the outline should be
 OUTLINE_TIMES = 2.0  # correlation times over which outlines are averaged, which err alike in one
 BODY = ('mu', 'P', 'extent', 'edge', 'scale_prior', 'drift')  # what a track knows of a vehicle
@@ -34,44 +32,24 @@ BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row 
 
 @dataclass
 class Track:
-    """A moving obstacle.
+    """A moving obstacle."""
 
-    Attributes
-    ----------
-    id : int
-        Lasts as long as the track.
-    plane_id : int
-        Of the plane observation that continued it last; NO_PLANE: it continues another one now.
-    mu, P : (8,), (8, 8) float64
-        State of motion_model and its covariance.
-    x, block : (N, 2) float64
-        Block centres, moved on by the prediction, and sizes [px].
-    extent : (4,) float64
-        Box of its body, averaged over its detections and moved on, too [px].
-    edge : Edge
-        Lower edge of the last detection that showed one.
-    scale_prior : ScalePrior
-    first_seen, last_seen : int, int
-        Stamps [ns].
-    confirmed : bool
-    drift : (3,) float64
-        Running mean of the rate's innovation in standard deviations: near 0 unless it speeds up,
-        brakes or turns.
-    evidence : list of Evidence
-    """
-
-    id: int
+    id: int  # lasts as long as the track
+    # of the plane observation that continued it last; NO_PLANE: it continues another one now
     plane_id: int
-    mu: np.ndarray
-    P: np.ndarray
-    x: np.ndarray
-    block: np.ndarray
+    mu: np.ndarray  # (8,): state of motion_model
+    P: np.ndarray  # (8, 8): its covariance
+    x: np.ndarray  # (N, 2): block centres, moved on by the prediction [px]
+    block: np.ndarray  # (N, 2): their sizes [px]
+    # (4,): box of its body, averaged over its detections and moved on, too [px]
     extent: np.ndarray
-    edge: Edge
+    edge: Edge  # lower edge of the last detection that showed one
     scale_prior: ScalePrior
-    first_seen: int
-    last_seen: int
+    first_seen: int  # [ns]
+    last_seen: int  # [ns]
     confirmed: bool = False
+    # (3,): running mean of the rate's innovation in standard deviations: near 0 unless it speeds
+    # up, brakes or turns
     drift: np.ndarray = field(default_factory=lambda: np.zeros(3))
     evidence: list[Evidence] = field(default_factory=list)
 
@@ -79,7 +57,7 @@ class Track:
         """Move on to the newest key frame, (15); False where the obstacle is out of sight."""
         still = step.t_cur_from_prev / step.dt
         speed = norm(still) + math.exp(self.mu[2]) * norm(self.mu[om.RATE])
-        unit = 1.0 if view.is_metric else UNSCALED_ACCELERATION * speed
+        unit = 1.0 if view.is_metric else UNSCALED_SPEED * speed
         moved = om.predict(self.mu, step, still, view.scene_covariance,
                            settings.acceleration * unit * self._unrest())
         if moved is None:
@@ -327,7 +305,7 @@ def _doubted(detection, shared, box, view):
     jump = (1 - shared) * np.maximum(detection.box[2:], box[2:]) / 2
     R = detection.R.copy()
     R[om.BEARING, om.BEARING] += np.diag((jump / view.focal)**2)
-    R[om.RATE, om.RATE] /= max(shared, LEAST_SHARED)**2
+    R[om.RATE, om.RATE] /= max(shared, association.MIN_OVERLAP)**2
     return replace(detection, R=R)
 
 

@@ -10,7 +10,7 @@ from mv_slapse.records import Extraction, MotionStatus, ScaleStatus, SceneEstima
 import numpy as np
 
 SPAN = 1.0  # [s] whose baselines tell the depth of an obstacle
-UNSCALED_SPEED = 0.1  # 1 m/s as a share of the camera's speed, where no scale is known
+UNSCALED_SPEED = 0.1  # a unit, 1 m/s or m/s^2, as a share of the camera's speed, without a scale
 TALLEST = 5.0  # [m] a lorry of 4 m, seen to a macroblock or so
 OUT_OF_SIGHT = 0.2  # [s] a pair or two without ground; up to then the map knows better
 LEAST_SPEED_ERROR = 0.01  # share of the camera's speed, if its filter claims to know better
@@ -18,47 +18,23 @@ LEAST_SPEED_ERROR = 0.01  # share of the camera's speed, if its filter claims to
 
 @dataclass(frozen=True)
 class View:
-    """Camera of key frame k and its motion since key frame k-1.
+    """Camera of key frame k and its motion since key frame k-1."""
 
-    Attributes
-    ----------
-    K : (3, 3) float64
-    R_world_from_cam, t_world_from_cam : (3, 3), (3,) float64
-    R_cur_from_prev, t_cur_from_prev : (3, 3), (3,) float64
-        Motion of the pair [map unit].
-    dt : float
-        Time of the pair [s].
-    unit : float
-        Length of the pair's baseline [map unit].
-    scene_velocity, scene_covariance : (3,), (3, 3) float64
-        Of the still scene relative to the camera, in its axes [map unit/s].
-    rotation_covariance : (3, 3) float64
-        Of R_cur_from_prev.
-    ground : (3,) float64 or None
-        Ground plane n / d in the camera [1/map unit].
-    ground_normal_covariance : (3, 3) float64
-        Of its unit normal in the camera.
-    size : (2,) float64
-        Width and height of the picture [px].
-    is_metric : bool
-    speed_error : float
-        Share of the scene's speed by which it differs from the lengths of obstacles at most.
-    """
-
-    K: np.ndarray
-    R_world_from_cam: np.ndarray
-    t_world_from_cam: np.ndarray
-    R_cur_from_prev: np.ndarray
-    t_cur_from_prev: np.ndarray
-    dt: float
-    unit: float
-    scene_velocity: np.ndarray
-    scene_covariance: np.ndarray
-    rotation_covariance: np.ndarray
-    ground: np.ndarray | None
-    ground_normal_covariance: np.ndarray
-    size: np.ndarray
+    K: np.ndarray  # (3, 3)
+    R_world_from_cam: np.ndarray  # (3, 3)
+    t_world_from_cam: np.ndarray  # (3,)
+    R_cur_from_prev: np.ndarray  # (3, 3): motion of the pair
+    t_cur_from_prev: np.ndarray  # (3,) [map unit]
+    dt: float  # time of the pair [s]
+    unit: float  # length of the pair's baseline [map unit]
+    scene_velocity: np.ndarray  # (3,): of the still scene relative to the camera [map unit/s]
+    scene_covariance: np.ndarray  # (3, 3): in its axes [map unit/s]
+    rotation_covariance: np.ndarray  # (3, 3): of R_cur_from_prev
+    ground: np.ndarray | None  # (3,): ground plane n / d in the camera [1/map unit]
+    ground_normal_covariance: np.ndarray  # (3, 3): of its unit normal in the camera
+    size: np.ndarray  # (2,): width and height of the picture [px]
     is_metric: bool
+    # share of the scene's speed by which it differs from the lengths of obstacles at most
     speed_error: float = 1.0
 
     @cached_property

@@ -39,7 +39,6 @@ import numpy as np
 ASTRAY = 5.0  # times lost_after: a car at rest may meanwhile be anywhere on the next crossing
 PATIENCE = 5  # key frames in which a plane may contradict the map
 START = 3.0  # factor on the random walk of the velocity while the camera starts to move
-UNTOLD_SIGMA = 0.5  # of the log of a baseline that nothing tells: a flight may halve its way
 SLOW = 0.1  # share of the highest speed that is guessed where a start shows no known plane
 STANDING = 'the camera stands still'
 TURNING = 'the camera turns on the spot'
@@ -386,7 +385,7 @@ class SceneFilter:
         elif told:
             return []
         else:
-            sigma = UNTOLD_SIGMA
+            sigma = scene_speed.UNTOLD_SIGMA
         return [scene_observations.baseline(baseline, sigma)]
 
     def _rigid(self, ground: int | None) -> list[Observation]:

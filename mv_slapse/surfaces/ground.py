@@ -23,14 +23,13 @@ HEIGHT_WOBBLE = 0.02  # change of log(height) between key frames: suspension and
 FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for afresh
 GUESSED = 0.5  # the same of a ground that none shows, for movers: it is within a factor of 2.7
 FARTHEST = 2.0  # standard deviations by which that ground may lie farther, or nearer
-MAX_BLUR = 0.07  # standard deviation of a block's depth, as a share of it
 IN_VIEW = 0.9  # cosine of the course to the axis, 26 degrees; beyond, few cameras see it
 LEARNING = 0.1  # share that one key frame has in the learned mounting
 SLOW_LEARNING = 0.01  # the same in what kind of robot it is, which does not change
 
 # What the kernels go by.
 POLICY = {
-    'max_blur': MAX_BLUR,
+    'max_blur': 0.07,  # standard deviation of a block's depth, as a share of it
     'ground_dependence': 10.0,  # blocks of road that tell as much as one: all err one way
     'corridor': 2.5,  # camera heights to either side: beyond, kerbs, lawns and drives lie higher
     # rad: what lies farther off than the camera will have turned by then is on no way.
@@ -280,10 +279,10 @@ def course_of(t_cur_from_prev: np.ndarray) -> np.ndarray:
 
 
 def _sharp(depths: Depths, plane: np.ndarray) -> np.ndarray:
-    """Return the blocks (N,) whose depth on the plane would be known to MAX_BLUR.
+    """Return the blocks (N,) whose depth on the plane would be known well enough.
 
     Toward the horizon the ground's parallax vanishes, and what stands on it passes for ground:
     always nearer, never farther, which tilts the plane and with it the camera's height (by 20 %
     in the height for 2 degrees, as measured).
     """
-    return depths.sigma < MAX_BLUR * np.maximum(-depths.rays @ plane, 1e-9)
+    return depths.sigma < POLICY['max_blur'] * np.maximum(-depths.rays @ plane, 1e-9)

@@ -57,8 +57,8 @@ assert rows.settings_of(type('Case', (), {{'height': 0.0}})).scene.iterations ==
     subprocess.run([sys.executable, '-c', code], check=True)
 
 
-def street(ate):
-    return {f'street {i}/mpeg2.mpg': {'ate_mean_percent': ate, 'cpu_ms': 2.0} for i in range(3)}
+def street(ate, n=3):
+    return {f'street {i}/mpeg2.mpg': {'ate_mean_percent': ate, 'cpu_ms': 2.0} for i in range(n)}
 
 
 @pytest.mark.parametrize(('ate', 'verdict'), [
@@ -70,6 +70,18 @@ def test_a_rule_earns_what_is_worse_without_it(ate, verdict):
     assert found.judgement == verdict
     assert found.over_all('ln ATE') == f'× {ate / 0.1:.3f}'
     assert found.same == (3 if ate == 0.1 else 0)
+
+
+def test_what_is_a_little_worse_in_row_after_row_is_earned_too():
+    altered = {f'street {i}, noise/mpeg2.mpg': {'ate_mean_percent': 0.2} for i in range(8)}
+    before, after = street(0.1, 8), street(0.11, 8)
+    found = ablation.Verdict(RULE, before, after, altered)
+    assert not found.earned
+    assert found.single == (8, 0)
+    assert found.judgement == 'earns a little, row after row'
+    mixed = {name: after[name] if i % 2 else before[name] | {'ate_mean_percent': 0.09}
+             for i, name in enumerate(before)}
+    assert ablation.Verdict(RULE, before, mixed, altered).judgement == 'nothing beyond scatter'
 
 
 def test_a_row_that_fails_without_a_rule_needs_it():
@@ -95,5 +107,5 @@ def test_rules_are_measured_once_and_written_down(tmp_path, monkeypatch):
     assert len({label for label, _ in measured}) == 3
     assert [change and change.args for _, change in measured] == [None, ('terrain',), ('body',)]
     text = page.read_text()
-    assert '| terrain | earns | 3, 0 | 0 of 3 | × 3.000 |' in text
+    assert '| terrain | earns | 3, 0 | 3, 0 | 0 of 3 | × 3.000 |' in text
     assert 'street 0, ATE: 0.1000 → 0.3000' in text

@@ -1,12 +1,12 @@
 """Evidence of a segment in numpy: the formulas that the kernels are compared with."""
 
-from formulas import cell_of
+from formulas import CELL, cell_of
 from mv_slapse.codec.evidence import Evidence
 from mv_slapse.codec.motion_vectors import FrameVectors, FUTURE, PAST
 from mv_slapse.codec.prediction import RISE
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
-from mv_slapse.geometry.blocks import CELL, MACROBLOCK
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.records import FrameType
 import numpy as np
 

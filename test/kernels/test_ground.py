@@ -89,7 +89,7 @@ def test_the_ceiling_is_the_median_distance_of_what_is_sharp(rng):
     np.testing.assert_allclose(drop, -depths.rays @ UP)
     shown = inlier & ~lone & (depths.rho > 0)
     assert typical == pytest.approx(np.median(parallax[shown]))
-    sharp = shown & (depths.sigma < ground.MAX_BLUR * depths.rho)
+    sharp = shown & (depths.sigma < ground.POLICY['max_blur'] * depths.rho)
     assert ceiling == pytest.approx(np.median(1 / depths.rho[sharp]))
     assert way(replace(depths, sigma=depths.rho))[-2] == height.MOST
 

@@ -12,7 +12,7 @@ from mv_slapse.scene.state import SceneState
 import numpy as np
 
 SOURCE = 'speed'  # as a source of the scale
-FAINT = 0.5  # sigma of a way as a share: beyond, it may as well be none at all
+UNTOLD_SIGMA = 0.5  # of the log of a way that nothing tells: a flight may halve it
 SLOWEST = 0.05  # m/s, below which wheels turn too little to tell a speed
 
 
@@ -54,7 +54,7 @@ def distance(log: SpeedLog, start: int, end: int, turn: float,
     unseen = settings.acceleration * np.sqrt(told.held**3 / 3)
     sigma = np.linalg.norm([settings.speed_sigma, settings.speed_arm * turn / length,
                             turn**2 / 24, unseen / length])
-    return Way(length, float(sigma)) if sigma < FAINT else None
+    return Way(length, float(sigma)) if sigma < UNTOLD_SIGMA else None
 
 
 def observed(way: Way, settings: SceneSettings) -> Observation:
