@@ -11,8 +11,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
-README = PAGES[0].read_text(encoding='utf-8')
-PAPERS = (ROOT / 'docs' / 'papers.md').read_text(encoding='utf-8')
+COMMANDS, PAPERS, REFUSALS, TOPICS = (
+    (ROOT / 'docs' / name).read_text(encoding='utf-8') for name in (
+        'command_line.md', 'papers.md', 'troubleshooting.md', 'topics.md'))
 FIELD = '\0'
 SOURCES = '\n'.join(path.read_text(encoding='utf-8')
                     for path in (ROOT / 'mv_slapse').rglob('*.py'))
@@ -50,7 +51,7 @@ def test_every_function_named_beside_a_file_is_defined_in_it():
 
 
 def test_the_table_of_commands_names_every_command_and_only_options_it_has():
-    rows = dict(re.findall(r'^\| `mv_slapse (\w+)(.*)$', README, re.M))
+    rows = dict(re.findall(r'^\| `mv_slapse (\w+)(.*)$', COMMANDS, re.M))
     assert set(rows) == set(commands())
     for name, row in rows.items():
         assert set(re.findall(r'(?<![\w-])--?[a-z][a-z-]*', row)) <= commands()[name], name
@@ -76,15 +77,14 @@ def test_every_setting_named_exists():
 
 def test_every_topic_that_a_node_publishes_is_in_the_table():
     published = re.findall(r"create_publisher\(\s*[\w.]+,\s*'([^']+)'", SOURCES)
-    rows = re.findall(r'^\| (`[^|]*`) \|.*\|$', README, re.M)
+    rows = re.findall(r'^\| (`[^|]*`) \|.*\|$', TOPICS, re.M)
     listed = {name for row in rows for name in re.findall(r'`([^`]+)`', row)}
     assert {'odometry', '/tf', '/diagnostics'} <= set(published)
     assert {name for name in published if not name.startswith('~')} <= listed
 
 
 def refusals() -> list[str]:
-    section = README.split('## When it refuses')[1].split('\n## ')[0]
-    return re.findall(r'^\| `([^`|]+)`', section, re.M)
+    return re.findall(r'^\| `([^`|]+)`', REFUSALS, re.M)
 
 
 @pytest.fixture(scope='module')
