@@ -42,9 +42,10 @@ BELOW = {
     'obstacles': {*LOW, 'filters'},
     'evaluation': {*LOW, 'storage'},
     'pipeline': {*LOW, *ROOMS},
-    'storage': {*LOW, 'codec', 'fields', 'picture_size', 'video_messages', 'view_fields'},
+    'storage': {*LOW, 'codec', 'fields', 'picture_size', 'planner_fields', 'video_messages',
+                'view_fields'},
     'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'fields', 'field_values',
-              'message_checks', 'video_messages', 'view_fields'},
+              'message_checks', 'planner_fields', 'video_messages', 'view_fields'},
 }
 
 

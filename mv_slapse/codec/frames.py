@@ -12,7 +12,7 @@ from mv_slapse.records import FrameType
 import numpy as np
 
 WITH_VECTORS = ('h264', 'mpeg2video', 'mpeg1video', 'mpeg4', 'h263', 'flv1', 'flv')
-ZERO_IN_B = ('mpeg4', 'h263', 'flv1', 'flv')  # FFmpeg exports the blocks of B frames, their vectors as 0
+ZERO_IN_B = ('mpeg4', 'h263')  # FFmpeg exports the blocks of B frames, their vectors as 0
 MAX_PIXELS = 64_000_000
 LONGEST_REORDERING = 2_000_000_000  # ns; a stamp farther back is a source that began again
 LAST_STAMP = 1 << 61  # ns: 73 years, the range of the stamps of messages, and half of int64

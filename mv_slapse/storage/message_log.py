@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-from mv_slapse import fields, view_fields
+from mv_slapse import fields, planner_fields, view_fields
+from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.records import (
     Correspondences,
@@ -36,8 +37,9 @@ class Step(Protocol):
 class MessageLog:
     """The messages that the nodes would publish, in one MCAP file."""
 
-    def __init__(self, path: Path, frames: RosFrames):
-        """Make the file."""
+    def __init__(self, path: Path, frames: RosFrames, camera: Camera | None = None):
+        """Make the file; the camera's calibration goes to its beginning."""
+        self._camera = camera
         self._bag, self._frames = McapFile(path), frames
         self._planes = view_fields.MarkerBoard(frames.odom)
         self._obstacles = view_fields.MarkerBoard(frames.odom)
@@ -51,6 +53,10 @@ class MessageLog:
     def write(self, step: Step):
         """Write the messages of a key frame pair, the transform before what needs it."""
         scene, frames, stamp, put = step.scene, self._frames, step.scene.stamp, self._bag.write
+        if self._camera:
+            put('/camera_info', 'sensor_msgs/msg/CameraInfo',
+                fields.camera_to_fields(self._camera, stamp, frames.camera), stamp, True)
+            self._camera = None
         if scene.status in WITH_POSE:
             self._write_pose(scene)
         put('/correspondences', 'mv_slapse_msgs/msg/Correspondences',
@@ -61,6 +67,11 @@ class MessageLog:
             fields.plane_map_to_fields(scene, frames, scene.resets), stamp, True)
         put('/obstacles', 'mv_slapse_msgs/msg/ObstacleArray',
             fields.obstacles_to_fields(stamp, step.obstacles, scene.scale_status, frames), stamp)
+        sure = planner_fields.sure(step.obstacles)
+        put('/obstacles/points', 'sensor_msgs/msg/PointCloud2',
+            planner_fields.cloud_to_fields(stamp, sure, frames), stamp)
+        for polygon in planner_fields.polygons_to_fields(stamp, sure, frames):
+            put('/obstacles/polygons', 'geometry_msgs/msg/PolygonInstanceStamped', polygon, stamp)
         for handover in step.handovers:
             put('/planes/handover', 'mv_slapse_msgs/msg/PlaneHandover',
                 fields.handover_to_fields(handover, frames), stamp)

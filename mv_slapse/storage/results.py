@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from mv_slapse.errors import MvSlapseError, UnusableOutput, UsageError
+from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.storage import tables, tum
 from mv_slapse.storage.archives import LabelArchive, MapArchive, write_json
@@ -25,7 +26,8 @@ class ResultsWriter:
     files that end in ``.part``.
     """
 
-    def __init__(self, out: str | Path, frames: RosFrames | None = None):
+    def __init__(self, out: str | Path, frames: RosFrames | None = None,
+                 camera: Camera | None = None):
         """Make the folder and its files; those of an earlier run go.
 
         Raises
@@ -45,7 +47,7 @@ class ResultsWriter:
         except OSError as error:
             raise UsageError(f'{out} cannot be written: {error.strerror}; choose another output '
                              'folder with -o') from None
-        self._messages = MessageLog(self.out / 'results.mcap', frames or RosFrames())
+        self._messages = MessageLog(self.out / 'results.mcap', frames or RosFrames(), camera)
         self._map = MapArchive()
         self._has_origin = self._is_closed = False
 

@@ -157,11 +157,11 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
         Where arguments contradict one another, or the output cannot be written.
     """
     with open_input(str(input), topic, settings.encoder) as source:
-        session = _Session(source, str(input), _camera(camera, source, str(input)), settings,
-                           speeds)
+        camera = _camera(camera, source, str(input))
+        session = _Session(source, str(input), camera, settings, speeds)
         session.history = history
         session.summary.command = command
-        with ResultsWriter(output) as writer:
+        with ResultsWriter(output, camera=camera) as writer:
             try:
                 session.play(writer, max_frames, progress)
             except KeyboardInterrupt:
@@ -192,7 +192,7 @@ def replay(decoded: Decoded, camera: Camera, settings: Settings, output: str | P
            speeds: Iterable[Speed] = ()) -> Summary:
     """Run everything on correspondences and write the folder of results, as ``run`` would."""
     session = _Session(VideoInput(iter(())), decoded.input, camera, settings, speeds)
-    with ResultsWriter(output) as writer:
+    with ResultsWriter(output, camera=camera) as writer:
         session.replay(decoded, writer)
         writer.close(session.finish())
     return _checked(session.summary)

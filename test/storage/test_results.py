@@ -6,8 +6,9 @@ import sys
 from types import SimpleNamespace
 
 import made_up
-from mv_slapse import fields
+from mv_slapse import fields, planner_fields
 from mv_slapse.errors import UsageError
+from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.records import ScaleStatus, TrackingStatus
 from mv_slapse.storage.bag_reader import BagReader
@@ -114,15 +115,32 @@ def test_the_bag_holds_what_the_nodes_publish(out, steps):
     reader = BagReader(out / 'results.mcap')
     assert {'/correspondences', '/planes/observations', '/planes/map', '/planes/handover',
             '/obstacles', '/odometry', '/pose', '/twist', '/path', '/tf', '/tf_static',
-            '/planes/map_markers', '/obstacles/markers'} == set(reader.topics)
+            '/planes/map_markers', '/obstacles/markers', '/obstacles/points',
+            '/obstacles/polygons'} == set(reader.topics)
     messages = {topic: [msg for _, msg in reader.messages([topic])] for topic in reader.topics}
     assert (len(messages['/odometry']), len(messages['/planes/map'])) == (2, 4)
     scene = fields.scene_from_messages(messages['/odometry'][0], messages['/planes/map'][1],
                                        RosFrames())
     np.testing.assert_allclose(scene.t_world_from_cam, steps[1].scene.t_world_from_cam,
                                atol=1e-9)
+    sure = [planner_fields.sure(step.obstacles) for step in steps]
+    clouds = [np.frombuffer(msg.data, planner_fields.POINT)
+              for msg in messages['/obstacles/points']]
+    assert [set(cloud['id']) for cloud in clouds] == [{o.id for o in some} for some in sure]
+    assert [msg.polygon.id for msg in messages['/obstacles/polygons']] == [
+        o.id for some in sure for o in some]
     pair = fields.correspondences_from_message(messages['/correspondences'][2])
     np.testing.assert_array_equal(pair.x_prev, steps[2].correspondences.x_prev)
+
+
+def test_the_bag_begins_with_the_calibration(tmp_path, rng):
+    camera = Camera(640, 480, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]))
+    with ResultsWriter(tmp_path, camera=camera) as writer:
+        writer.write(made_up_step(rng, 0))
+        writer.write(made_up_step(rng, 1))
+    reader = BagReader(tmp_path / 'results.mcap')
+    [(_, info)] = reader.messages(['/camera_info'])
+    assert (info.width, info.height, info.k[0], info.k[2]) == (640, 480, 500.0, 320.0)
 
 
 def test_the_transform_comes_before_what_needs_it(out):

@@ -1,4 +1,4 @@
-from mv_slapse.nodes import shapes
+from mv_slapse import shapes
 import numpy as np
 import pytest
 
