@@ -9,10 +9,11 @@ WORKERS ?= 2
 # Stamps, one for each step, so that a step is repeated only when what it reads has changed.
 LIBRARIES := $(VENV)/.libraries
 MESSAGES := $(VENV)/.messages
+OTHERS := $(VENV)/.others
 KERNELS := $(VENV)/.kernels
 PACKAGE := $(VENV)/.package
-INTERFACES := $(wildcard msg_defs msg_defs/* msg_defs/msg/* \
-    test/interfaces test/interfaces/* test/interfaces/*/* test/interfaces/*/*/*)
+INTERFACES := $(wildcard msg_defs msg_defs/* msg_defs/msg/*)
+OTHER_INTERFACES := $(wildcard test/interfaces/* test/interfaces/*/* test/interfaces/*/*/*)
 # Sourcing Jazzy from apt, or no longer doing so, asks for another environment.
 ROS := $(if $(and $(filter jazzy,$(ROS_DISTRO)),$(AMENT_PREFIX_PATH)),apt,wheels)
 ifneq ($(subst none,wheels,$(file <$(VENV)/.ros)),$(ROS))
@@ -22,14 +23,21 @@ endif
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1: /p' Makefile | awk -F': ' '{printf "  make %-10s %s\n", $$1, $$2}'
 
-setup: $(LIBRARIES) $(MESSAGES) $(KERNELS) $(PACKAGE) ## make .venv with ROS 2 Jazzy, all libraries, messages, kernels and mv_slapse
+READY := $(LIBRARIES) $(MESSAGES) $(KERNELS) $(PACKAGE)
+
+setup: $(READY) $(OTHERS) ## make .venv with ROS 2 Jazzy, all libraries, messages, kernels and mv_slapse
 
 $(LIBRARIES): .setup/environment.sh $(wildcard .setup/*.txt)
 	@sh .setup/environment.sh $(VENV)
 	@touch $@
 
 $(MESSAGES): $(LIBRARIES) .setup/messages.sh setup.py $(INTERFACES)
-	@sh .setup/messages.sh $(VENV)
+	@sh .setup/messages.sh $(VENV) msg_defs
+	@touch $@
+
+# Messages of other packages, which the tests need and no package index has.
+$(OTHERS): $(LIBRARIES) $(MESSAGES) .setup/messages.sh setup.py $(OTHER_INTERFACES)
+	@sh .setup/messages.sh $(VENV) test/interfaces/*/
 	@touch $@
 
 $(KERNELS): $(LIBRARIES) .setup/kernels.sh setup.py mv_slapse/kernels \
@@ -41,7 +49,7 @@ $(PACKAGE): $(LIBRARIES) .setup/package.sh setup.py setup.cfg package.xml $(wild
 	@sh .setup/package.sh $(VENV)
 	@touch $@
 
-messages: $(MESSAGES) ## generate the messages of msg_defs into .venv
+messages: $(MESSAGES) $(OTHERS) ## generate the messages of msg_defs into .venv
 
 kernels: $(KERNELS) ## compile the kernels of mv_slapse/kernels into .venv
 
@@ -50,7 +58,7 @@ config: setup ## write config/*.yaml, docs/parameters.md and docs/diagnostics.md
 	@$(RUN) python -m mv_slapse.tools.parameter_table docs/parameters.md
 	@$(RUN) python -m mv_slapse.tools.state_table docs/diagnostics.md
 
-demo: setup ## render a street with known truth, run everything on it, write out/demo
+demo: $(READY) ## render a street with known truth, run everything on it, write out/demo
 	@$(RUN) mv_slapse demo -o out/demo
 
 test: setup ## run all tests, real ROS nodes included

@@ -89,6 +89,9 @@ echo "$ros" >"$venv/.ros"
 echo "mv_slapse set-up: installing libraries into $venv (ROS: $ros)"
 "$venv/bin/python" -m uv --version >/dev/null 2>&1 ||
     "$venv/bin/python" -m pip install -q -c "$here/pins.txt" uv >>"$log" 2>&1 || true
+# Compiling needs few libraries and takes as long as installing the rest: begin now.
+install -c "$here/pins.txt" pybind11 'setuptools<80'
+sh "$here/kernels.sh" "$venv" >"$venv/kernels_early.log" 2>&1 &
 set -- -c "$here/pins.txt" -r "$here/runtime.txt" -r "$here/dev.txt"
 case $ros in
 apt) install "$@" -c "$here/pins_apt.txt" ;;
@@ -121,3 +124,4 @@ END
 for script in local_setup.bash local_setup.zsh setup.sh setup.bash setup.zsh; do
     echo ". \"$venv/local_setup.sh\"" >"$venv/$script"
 done
+wait  # for the kernels; what they lack, the next step says

@@ -1,8 +1,9 @@
 #!/bin/sh
-# messages.sh VENV: generate the messages, and those that the tests need and no package index
-# has, into the virtual environment; only those that have changed.
+# messages.sh VENV FOLDER...: generate the messages of interface packages into the virtual
+# environment; only those that have changed.
 set -eu
 venv=$(cd "$1" && pwd)
+shift
 [ "$(cat "$venv/.ros")" != none ] || exit 0
 
 installed() {  # installed PACKAGE: in a ROS prefix other than the virtual environment
@@ -13,7 +14,7 @@ installed() {  # installed PACKAGE: in a ROS prefix other than the virtual envir
     exit 1)
 }
 
-for package in msg_defs test/interfaces/*/; do
+for package in "$@"; do
     [ -e "$package/package.xml" ] || continue
     name=$(basename "$package")
     if installed "$name"; then

@@ -15,10 +15,7 @@ from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg.cython_blas
 
-#: modules that link the BLAS libraries; wheels of scipy bring one of their own
-USERS = (np.linalg._umath_linalg, scipy.linalg.cython_blas)
 #: functions that set and tell the number, of OpenBLAS as its builds name them, MKL and BLIS
 FUNCTIONS = (*((f'{before}openblas_set_num_threads{after}',
                 f'{before}openblas_get_num_threads{after}')
@@ -35,11 +32,10 @@ class Library(NamedTuple):
 
 
 def libraries() -> list[Library]:
-    """Return the BLAS libraries of numpy and scipy; none where they cannot be told a number."""
+    """Return the BLAS library of numpy; none where it cannot be told a number."""
     # A look-up in a module's handle goes through the libraries that the module links.
-    handles = [ctypes.CDLL(user.__file__) for user in USERS]
-    return [Library(getattr(handle, set_), getattr(handle, get))
-            for handle, (set_, get) in product(handles, FUNCTIONS)
+    handle = ctypes.CDLL(np.linalg._umath_linalg.__file__)
+    return [Library(getattr(handle, set_), getattr(handle, get)) for set_, get in FUNCTIONS
             if hasattr(handle, set_) and hasattr(handle, get)]
 
 

@@ -59,7 +59,7 @@ class CorrespondenceDecoder:
             pairs = self._merged(segment)
         if segment.kind is SegmentKind.PI and _supported(pairs[0]) < POOR * self._usual:
             pairs = [self._bridged(segment) or pairs[0]]
-        elif is_untrue(segment):
+        elif segment.kind is not SegmentKind.BROKEN and is_untrue(segment):
             pairs = [self._searched(segment) or self._broken(replace(
                 segment, kind=SegmentKind.BROKEN, reason=UNTRUE))]
         for pair in pairs:

@@ -6,10 +6,10 @@ noise Q and R, innovation z - h(mu).
 
 from collections.abc import Hashable
 from functools import cache
+import math
 
 from mv_slapse.kernels.binding import compiled
 import numpy as np
-from scipy.special import gammaincinv
 
 CONFIDENCE = 0.99  # beyond which what was supposed is given up
 
@@ -127,7 +127,23 @@ def squared_distance(innovation: np.ndarray, S: np.ndarray) -> float:
 @cache
 def chi2_bound(confidence: float, dof: int) -> float:
     """Return what a squared distance of ``dof`` dimensions stays below at a confidence."""
-    return float(2 * gammaincinv(dof / 2, confidence))
+    low, high = 0.0, 1.0
+    while _beyond(high, dof) > 1 - confidence:
+        low, high = high, 2 * high
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if _beyond(middle, dof) > 1 - confidence else (low, middle)
+    return high
+
+
+def _beyond(squared, dof):
+    """Return the share of squared distances beyond one: closed forms, and a step of two up."""
+    half = 0.5 * squared
+    order = 0.5 * (dof % 2) or 1.0
+    total = math.exp(-half) if dof % 2 == 0 else math.erfc(math.sqrt(half))
+    while order < 0.5 * dof:
+        total += math.exp(order * math.log(half) - half - math.lgamma(order + 1)) if half else 0.0
+        order += 1.0
+    return total
 
 
 def _symmetric(P: np.ndarray) -> np.ndarray:

@@ -21,9 +21,10 @@ def from_matrix(R: np.ndarray) -> np.ndarray:
 
 
 def to_matrix(q: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix (3, 3) of a quaternion, which need not have unit length."""
-    x, y, z, w = np.asarray(q, float) / np.linalg.norm(q)
-    return np.array([
+    """Return rotation matrices (..., 3, 3) of quaternions (..., 4) of any length."""
+    q = np.asarray(q, float)
+    x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    return np.moveaxis(np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]), (0, 1), (-2, -1))

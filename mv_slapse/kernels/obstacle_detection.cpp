@@ -411,6 +411,56 @@ py::object depth_from_ground(const py::object& z_, const py::object& R_, const p
   return py::make_tuple(mean.array(), covariance.array(), edge.array());
 }
 
+// For each row of costs (N, M) the column that the cheapest assignment gives it, -1 for none: the
+// Hungarian method, by shortest augmenting paths. The lesser of N and M are assigned.
+py::array_t<std::int64_t> cheapest_assignment(const py::object& cost_) {
+  const In<double> cost("cheapest_assignment", "cost", cost_, {ANY, ANY}, Check::finite);
+  const bool wide = cost.size(0) <= cost.size(1);
+  const auto n = std::min(cost.size(0), cost.size(1)), m = std::max(cost.size(0), cost.size(1));
+  // Prices of rows and columns, the row that has each column, from 1; 0 is none.
+  std::vector<double> u(n + 1, 0.0), v(m + 1, 0.0);
+  std::vector<py::ssize_t> owner(m + 1, 0), from(m + 1, 0);
+  for (py::ssize_t row = 1; row <= n; ++row) {
+    std::vector<double> least(m + 1, HUGE_VAL);
+    std::vector<char> used(m + 1, 0);
+    py::ssize_t column = 0;
+    owner[0] = row;
+    do {
+      used[column] = 1;
+      const auto i = owner[column];
+      double step = HUGE_VAL;
+      py::ssize_t next = 0;
+      for (py::ssize_t j = 1; j <= m; ++j) {
+        if (used[j]) continue;
+        const double left = (wide ? cost(i - 1, j - 1) : cost(j - 1, i - 1)) - u[i] - v[j];
+        if (left < least[j]) {
+          least[j] = left;
+          from[j] = column;
+        }
+        if (least[j] < step) {
+          step = least[j];
+          next = j;
+        }
+      }
+      for (py::ssize_t j = 0; j <= m; ++j) {
+        if (used[j]) {
+          u[owner[j]] += step;
+          v[j] -= step;
+        } else {
+          least[j] -= step;
+        }
+      }
+      column = next;
+    } while (owner[column]);
+    for (; column; column = from[column]) owner[column] = owner[from[column]];
+  }
+  Out<std::int64_t> out({cost.size(0)});
+  for (py::ssize_t i = 0; i < cost.size(0); ++i) out[i] = -1;
+  for (py::ssize_t j = 1; j <= m; ++j)
+    if (owner[j]) out[wide ? owner[j] - 1 : j - 1] = wide ? j - 1 : owner[j] - 1;
+  return out.array();
+}
+
 // Error of each block [px] where a surface moves by (rate, slope), and its derivative by the rate.
 struct Motions {
   Motions(py::ssize_t n) : error(2 * n), J(6 * n) {}
@@ -536,5 +586,6 @@ void bind_obstacle_detection(kernels::py::module_& module) {
   module.def("state_about", state_about);
   module.def("blurred_rate", blurred_rate);
   module.def("depth_from_ground", depth_from_ground);
+  module.def("cheapest_assignment", cheapest_assignment);
   module.def("redetect_rate", redetect_rate);
 }

@@ -10,7 +10,6 @@ from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles.detection import Detection
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 FORBIDDEN = 1e6
 OVERLAP_COST = 10.0  # of no overlap at all, against a squared distance
@@ -80,9 +79,8 @@ def associate(tracks: Sequence, detections: Sequence[Detection],
         return []
     cost = np.array([[_cost(track, detection, gate) for detection in detections]
                      for track in tracks])
-    rows, columns = linear_sum_assignment(cost)
-    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True)
-            if cost[i, j] < FORBIDDEN]
+    columns = compiled.cheapest_assignment(cost).tolist()
+    return [(i, j) for i, j in enumerate(columns) if j >= 0 and cost[i, j] < FORBIDDEN]
 
 
 def _cost(track, detection, gate):

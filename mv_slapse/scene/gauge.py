@@ -10,7 +10,6 @@ from mv_slapse.geometry import rotation
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.scene.state import Gauge, SceneState
 import numpy as np
-from scipy.linalg import block_diag
 
 UNKNOWN_SCALE = 1.0  # of the log of lengths of which one is guessed: a speed may be any
 LINEAR = 0.2  # rad: beyond, a sine departs from its angle by 1 %
@@ -40,7 +39,8 @@ def begin_anew(state: SceneState, is_metric: bool):
         P[state.at(name), state.at(name)] = state.error.covariance(name)
     P[vel, vel] += swing @ pose[:3, :3] @ swing.T
     state.error.P, state.error.lasting = P, np.zeros_like(state.error.lasting)
-    state.gauge = Gauge(state.current.t.copy(), block_diag(pose, scale**2))
+    state.gauge = Gauge(state.current.t.copy(), np.pad(pose, (0, 1)))
+    state.gauge.covariance[-1, -1] = scale**2
 
 
 def doubt_scale(state: SceneState, sigma: float):

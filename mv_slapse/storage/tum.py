@@ -6,9 +6,9 @@ from decimal import Decimal
 from pathlib import Path
 
 from mv_slapse.errors import UnusableInput
+from mv_slapse.geometry import quaternion
 from mv_slapse.storage import whole_files
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 LAST_SECOND = 9_000_000_000  # [s]
 
@@ -36,7 +36,7 @@ class Trajectory:
 
     def rotations(self) -> np.ndarray:
         """Return the rotation matrices (N, 3, 3)."""
-        return Rotation.from_quat(self.quaternions).as_matrix()
+        return quaternion.to_matrix(self.quaternions)
 
 
 def format_stamp(stamp: int) -> str:
@@ -61,7 +61,7 @@ def parse_stamp(text: str) -> int:
 
 def format_row(stamp: int, R: np.ndarray, t: np.ndarray) -> str:
     """Return the row of a pose X_W = R X + t, with 9 decimals and without a line end."""
-    q = Rotation.from_matrix(R).as_quat()
+    q = quaternion.from_matrix(R)
     q = -q if q[3] < 0 else q
     return ' '.join([format_stamp(stamp), *(f'{value:.9f}' for value in (*t, *q))])
 

@@ -12,6 +12,7 @@ from mv_slapse.obstacles import redetection
 import numpy as np
 import obstacles_reference as reference
 import pytest
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 K = np.array([[500.0, 0, 320], [0, 510, 240], [0, 0, 1]])
@@ -150,3 +151,14 @@ def test_rates_are_found_again_as_by_the_formula(seed):
         (K, view.R_cur_from_prev),
         (LIMIT, redetection.WEAK, redetection.ITERATIONS, redetection.COARSE))
     same(found, reference.redetected_rate(mu, P, rays, target, variance, view, LIMIT))
+
+
+@pytest.mark.parametrize('shape', [(1, 1), (4, 4), (3, 6), (7, 2)])
+def test_the_cheapest_assignment_is_found(rng, shape):
+    for _ in range(30):
+        cost = np.where(rng.uniform(size=shape) < 0.4, 1e6, rng.exponential(10, shape))
+        found = compiled.cheapest_assignment(cost)
+        rows = np.flatnonzero(found >= 0)
+        expected = linear_sum_assignment(cost)
+        assert len(set(found[rows])) == len(rows) == min(shape)
+        assert cost[rows, found[rows]].sum() == pytest.approx(cost[expected].sum())
