@@ -216,7 +216,8 @@ def scene_from_messages(odometry: Any, plane_map: Any, frames: RosFrames,
         plane_map.reason, pose.R, pose.t, pose.covariance, twist.linear, twist.angular,
         twist.covariance, check.member(ScaleStatus, plane_map.scale_status, 'scale_status'),
         plane_map.scale_source, tuple(_map_plane_from_message(plane, frames) for plane
-                                      in check.count(plane_map.planes, 'planes')), baseline)
+                                      in check.count(plane_map.planes, 'planes')), baseline,
+        int(plane_map.resets))
 
 
 def check_odometry(msg: Any):

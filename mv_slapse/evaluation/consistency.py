@@ -7,14 +7,18 @@ over the start, where the covariance is small. A rendered truth is right from th
 that nothing needs to be aligned.
 """
 
+from collections.abc import Iterable
+from itertools import pairwise
 from typing import Any
 
 from mv_slapse.evaluation.trajectory import align, associate
 from mv_slapse.geometry import rotation
+from mv_slapse.records import SceneEstimate, TrackingStatus
 from mv_slapse.storage.tum import Trajectory
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+WITH_POSE = (TrackingStatus.OK, TrackingStatus.PREDICTED)
 BOUND = 14.16  # chi-square of 3 degrees of freedom: as probable as 3 sigma of one, 99.73 %
 WIDTHS = (100.0, 30.0, 10.0, 3.0, 3.0, 3.0)  # sigma, of the kernel: narrower from step to step
 REST_SIGMA = 1e-3  # m and rad: a camera at rest has no error of its own
@@ -57,6 +61,30 @@ def figures(estimate: Trajectory, covariances: dict[int, np.ndarray], truth: Tra
     return {'position_covered_percent': 100 * float(np.mean(square < BOUND)),
             'pose_nees': None if error is None else
             float(np.mean(_squares(error, np.linalg.inv(P))))}
+
+
+def unexplained_step(scenes: Iterable[SceneEstimate]) -> float | None:
+    """Return the longest of a path's steps, less what twist and covariances explain [map unit].
+
+    A step is explained by one of the twists at its ends, its own or their mean, but for 3 sigma:
+    of the twist, and of what the position was unsure by before and is no more. None without steps;
+    a new frame, which its count tells, begins without one.
+    """
+    path = [scene for scene in scenes if scene.status in WITH_POSE]
+    left = [min(_unexplained(a, b, share) for share in (0.0, 0.5, 1.0))
+            for a, b in pairwise(path) if a.resets == b.resets]
+    return max(0.0, *left) if left else None
+
+
+def _unexplained(before: SceneEstimate, after: SceneEstimate, share: float) -> float:
+    dt = (after.stamp - before.stamp) * 1e-9
+    velocity = (1 - share) * before.velocity_world + share * after.velocity_world
+    off = after.t_world_from_cam - before.t_world_from_cam - velocity * dt
+    along = off / max(np.linalg.norm(off), 1e-12)
+    speed, old, new = (np.sqrt(along @ P[:3, :3] @ along) for P in (
+        after.twist_covariance, before.pose_covariance, after.pose_covariance))
+    corrected = max((old + speed * dt)**2 - new**2, 0)  # the velocity errs as the way so far does
+    return float(np.linalg.norm(off) - 3 * np.hypot(speed * dt, np.sqrt(corrected)))
 
 
 def pose_errors(estimate: Trajectory, truth: Trajectory, i: np.ndarray, j: np.ndarray,

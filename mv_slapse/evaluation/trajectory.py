@@ -151,6 +151,24 @@ def figures(score: TrajectoryScore) -> dict[str, float | int | None]:
         'standstill_drift_m': score.standstill_drift}
 
 
+def epsilon_d(estimate: Trajectory, truth: Trajectory, is_metric: bool) -> float | None:
+    """Return the mean relative error of the way from the first pose, [SLAPSE] table II [%].
+
+    As there the frames of the first pose are one, without any alignment, and where the scale is
+    free the first step tells it. None where the truth does not move.
+    """
+    i, j = associate(estimate.stamps, truth.stamps)
+    start, end = np.zeros_like(i), np.arange(len(i))
+    t, true = (_motions(path, at[start], at[end])[1]
+               for path, at in ((estimate, i), (truth, j)))
+    way, true_way = np.linalg.norm(t, axis=1), np.linalg.norm(true, axis=1)
+    gone = (true_way > STILL) & (way > 0)
+    if not gone.any():
+        return None
+    unit = 1.0 if is_metric else true_way[gone][0] / way[gone][0]
+    return 100 * float(np.mean(np.linalg.norm(unit * t - true, axis=1)[gone] / true_way[gone]))
+
+
 def _relative_errors(estimate: Trajectory, truth: Trajectory, i: np.ndarray, j: np.ndarray,
                      scale: float) -> tuple[np.ndarray, np.ndarray]:
     R, t = _motions(estimate, i[:-1], i[1:])

@@ -36,7 +36,6 @@ from mv_slapse.scene.scale.speed_log import SpeedLog
 from mv_slapse.scene.state import SceneState
 import numpy as np
 
-ASTRAY = 5.0  # times lost_after: a car at rest may meanwhile be anywhere on the next crossing
 PATIENCE = 5  # key frames in which a plane may contradict the map
 START = 3.0  # factor on the random walk of the velocity while the camera starts to move
 SLOW = 0.1  # share of the highest speed that is guessed where a start shows no known plane
@@ -44,6 +43,7 @@ STANDING = 'the camera stands still'
 TURNING = 'the camera turns on the spot'
 SCALELESS = ('no known plane is in view: the direction of the way is observed, its length is '
              'predicted')
+WAITING = 'the ground, whose depth the camera\'s height tells in metres, has not been seen yet'
 CONTRADICTED = 'all known planes in view contradict the map'
 FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
 FIRST_METRIC_SIGMA = 0.1  # of the ground's depth, or the way, in the pair that tells metres
@@ -98,6 +98,9 @@ class SceneFilter:
         self._map.accept(self._state, handovers)
         leaving = self._map.release(self._state, extraction)
         status, reason = self._advance(extraction)
+        if self._settings.camera_height and self._progress.waits_for_metres:
+            status, reason = TrackingStatus.INITIALISING, WAITING
+        self._progress.publish(status, self._state.current.t)
         self._progress.repairs += ekf.repair(self._state.error)
         return scene_record.estimate(self._state, self._map.planes(self._state), extraction.stamp,
                                      status, reason, self._progress), leaving
@@ -105,8 +108,8 @@ class SceneFilter:
     def _begin(self, extraction: Extraction):
         """Put {W} at the first key frame."""
         self._state = scene_state.start(UP, FREE_SIGMA, 1.0, 0.07)
-        self._sway(np.inf)
-        self._progress = Progress(extraction.previous_stamp, ASTRAY * self._settings.lost_after)
+        scene_state.sway(self._state, np.inf, self._settings)
+        self._progress = Progress(extraction.previous_stamp, self._settings.lost_after)
 
     def _advance(self, extraction: Extraction):
         """Predict to the key frame and correct; return the tracking status and its reason."""
@@ -202,7 +205,7 @@ class SceneFilter:
         density *= START if self._progress.rested else 1.0
         scene_state.propagate(state, dt, density, settings.angular_acceleration,
                               settings.turn_rate)
-        self._sway(dt)
+        scene_state.sway(state, dt, settings)
         if self._is_tied:
             # Where nothing else carries the scale the planes do, and stay as they are.
             scene_state.renew(state, settings.relief)
@@ -218,39 +221,30 @@ class SceneFilter:
     def _coast(self, dt: float, start: int):
         """Move on from a stamp without a view, but no farther than a prediction says something.
 
-        A step so long that the camera is lost may be the clock's.
+        A mounted camera stays upright, a speed counts. A step so long that the camera is lost may
+        be the clock's.
         """
         left, place = self._progress.horizon - self._progress.blind, self._state.current.t
         self._progress.blind += dt
         if left <= 0:
             return
-        self._foresee(min(dt, left), start)
-        if dt > self._settings.lost_after:
-            scene_state.doubt_way(self._state, place)
-        if dt > left:
-            self._state.current.t = place
-
-    def _foresee(self, dt: float, start: int):
-        """Predict, and observe: a mounted camera stays upright, a speed counts."""
-        self._predict(dt)
+        self._predict(min(dt, left))
         self._progress.carried = False
-        ground, turn = self._map.ground, float(np.linalg.norm(self._state.omega)) * dt
+        ground, turn = self._map.ground, float(np.linalg.norm(self._state.omega)) * min(dt, left)
         way = self._way(start, turn) if self._progress.metric else None
         observations = self._rigid(ground) if ground in self._state.planes else []
         observations += [scene_speed.observed(way, self._settings)] if way else []
         if observations and self._state.velocity.any():
             self._state = scene_update.observe(self._state, observations, self._settings)
+        if dt > self._settings.lost_after:
+            scene_state.doubt_way(self._state, place)
+        if dt > left:
+            self._state.current.t = place
 
     def _way(self, start: int, turn: float) -> Way | None:
         """Return the way [m] since a stamp by the speeds given, if they tell one that can be."""
         return scene_speed.way(self._speeds, self._state, self._progress, start, turn,
                                self._settings)
-
-    def _sway(self, dt: float):
-        """Let the camera's height above the road swing for dt [s]."""
-        settings = self._settings
-        scene_state.sway(self._state, dt, settings.camera_height_sigma,
-                         settings.camera_height_time)
 
     def _unsupported(self, stamp: int, reason: str):
         """Judge a pose that is predicted only."""
@@ -351,13 +345,16 @@ class SceneFilter:
         return supposed or 1.0
 
     def _make_metric(self, factor: float, source: str):
-        """Make lengths metres by a factor, which compares one pair with its prediction."""
+        """Make lengths metres by a factor, which compares one pair with its prediction.
+
+        What was published last stays where it is: odometry is continuous.
+        """
         if self._progress.started:
-            scene_state.scale_lengths(self._state, factor)
+            place = self._progress.place
+            scene_state.rescale_about(self._state, place, factor, FIRST_METRIC_SIGMA)
             self._progress.fastest *= factor
-            self._map.scale(factor)
+            self._map.scale(factor, place)
             self._ride = self._ride.scaled(factor)
-            scene_state.widen_scale(self._state, FIRST_METRIC_SIGMA)
         scene_gauge.doubt_scale(self._state, 0.0)
         self._progress.source = source
 

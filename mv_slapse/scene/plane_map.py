@@ -139,16 +139,19 @@ class SceneMap:
             ids.append(plane.id)
         return ids
 
-    def scale(self, factor: float):
-        """Multiply all lengths by a factor."""
+    def scale(self, factor: float, place: np.ndarray):
+        """Multiply all lengths by a factor, so that a place (3,) in {W} stays."""
+        def moved(outline):
+            return place + factor * (outline - place)
+
         self._sightings = {
-            id: replace(s, outline=None if s.outline is None else s.outline * factor)
+            id: replace(s, outline=None if s.outline is None else moved(s.outline))
             for id, s in self._sightings.items()}
         D = np.array([1.0, 1.0, 1.0, factor])
-        self._left = {id: replace(plane, depth=plane.depth * factor,
-                                  covariance=D[:, None] * plane.covariance * D,
-                                  outline=plane.outline * factor)
-                      for id, plane in self._left.items()}
+        self._left = {id: replace(
+            plane, depth=plane.depth * factor + (factor - 1) * float(plane.normal @ place),
+            covariance=D[:, None] * plane.covariance * D, outline=moved(plane.outline))
+            for id, plane in self._left.items()}
 
     def observe(self, state: SceneState, extraction: Extraction, ids: list[int]):
         """Note which planes of ``ids`` a key frame shows, and where."""

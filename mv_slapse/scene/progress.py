@@ -3,7 +3,11 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
+from mv_slapse.records import TrackingStatus
+import numpy as np
+
 SHORTEST = 1e-4  # s between key frames, as the decoder has it; less shows a clock that stands
+ASTRAY = 5.0  # times lost_after: a car at rest may meanwhile be anywhere on the next crossing
 FREE = 'first translation'  # what the unit of length is where nothing makes it metric
 
 
@@ -15,13 +19,16 @@ class Progress:
     that there is a scale; ``carried``: the last pair's depths have one; ``rested``: no baseline
     since a rest; ``anew``: nor since the scene began anew, ``resets``: how often it did;
     ``repairs``: how often its covariance was put right; ``blind`` [s]: predicted since the last
-    observation, which says nothing beyond ``horizon``; ``misses``: how often in a row each
-    plane has contradicted the map; ``interval`` [s]: between the last two key frames.
+    observation; ``misses``: how often in a row each plane has contradicted the map; ``interval``
+    [s]: between the last two key frames; ``age`` [s]: since the first; ``place``: position (3,)
+    that was published last.
     """
 
     stamp: int
-    horizon: float
+    lost_after: float
     interval: float = 0.0
+    age: float = 0.0
+    place: np.ndarray = field(default_factory=lambda: np.zeros(3))
     supported: int | None = None
     source: str = FREE
     fastest: float = 0.0
@@ -40,6 +47,21 @@ class Progress:
         return self.source != FREE
 
     @property
+    def horizon(self) -> float:
+        """Return for how long without a view [s] a prediction says something."""
+        return ASTRAY * self.lost_after
+
+    @property
+    def waits_for_metres(self) -> bool:
+        """Return whether lengths should soon become metres, which they are not yet."""
+        return self.started and not self.metric and self.age < self.lost_after
+
+    def publish(self, status: TrackingStatus, place: np.ndarray):
+        """Note where the camera is said to be."""
+        if status in (TrackingStatus.OK, TrackingStatus.PREDICTED):
+            self.place = place.copy()
+
+    @property
     def is_astray(self) -> bool:
         """Return whether nobody knows any more where the camera is."""
         return self.blind > self.horizon
@@ -52,6 +74,7 @@ class Progress:
         elif self.supported is not None:
             self.supported = min(self.supported, stamp)
         self.stamp = stamp
+        self.age += self.interval
         return self.interval
 
     def see(self, stamp: int):

@@ -8,6 +8,7 @@ birth, with axes of {W}, so that it is never singular.
 
 from dataclasses import dataclass, field
 
+from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation
 import numpy as np
@@ -270,8 +271,9 @@ def plane_in_camera_jacobian(state: SceneState, id: int):
     return by_pose, pose.R.T / scale - np.outer(turned, offset) / scale**2
 
 
-def sway(state: SceneState, dt: float, sigma: float, time: float):
-    """Let the heave settle for dt [s]: a share sigma of the height that lasts for ``time`` [s]."""
+def sway(state: SceneState, dt: float, settings: SceneSettings):
+    """Let the heave, which is a share of the height and lasts for a while, settle for dt [s]."""
+    sigma, time = settings.camera_height_sigma, settings.camera_height_time
     at = state.at('heave').start
     left = np.exp(-dt / time) if time else 0.0
     F = np.zeros((1, state.size))
@@ -316,6 +318,27 @@ def scale_lengths(state: SceneState, factor: float):
     state.gauge = Gauge(factor * state.gauge.place, unit[:, None] * state.gauge.covariance * unit)
     state.error.P = D[:, None] * state.error.P * D
     state.error.lasting = D[:, None] * state.error.lasting
+
+
+def rescale_about(state: SceneState, place: np.ndarray, factor: float, sigma: float):
+    """Multiply every length by a factor that is sure to ``sigma``, so that a place (3,) stays.
+
+    What has been told of the way to that place, in another unit, is as wrong as the place was.
+    """
+    _translate(state, -place)
+    scale_lengths(state, factor)
+    widen_scale(state, sigma)
+    _translate(state, place)
+    state.gauge.covariance[3:6, 3:6] += (1 - factor)**2 * np.outer(place, place)
+
+
+def _translate(state: SceneState, by: np.ndarray):
+    """Move the scene in {W}; errors, all relative to where it is, stay."""
+    for pose in (state.previous, state.current):
+        pose.t = pose.t + by
+    for known in state.planes.values():
+        known.anchor = known.anchor + by
+    state.gauge = Gauge(state.gauge.place + by, state.gauge.covariance)
 
 
 def widen_scale(state: SceneState, sigma: float):

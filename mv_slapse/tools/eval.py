@@ -1,5 +1,6 @@
 """``mv_slapse eval``: the folder of a run against whatever truth there is."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 import json
 from pathlib import Path
@@ -11,6 +12,7 @@ from mv_slapse.evaluation import annotation as annotations
 from mv_slapse.evaluation import consistency, detection, planes, tracking, trajectory
 from mv_slapse.evaluation.truth import LabelTable, read_arrays, read_labels, read_truth, Truth
 from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.records import SceneEstimate
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.tables import OBSTACLES_HEADER, PLANES_HEADER, read_table
 from mv_slapse.storage.tum import read_trajectory, Trajectory
@@ -60,11 +62,14 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None,
                          '--boxes or --annotation')
     results = read_results(out, stamp_offset)
     truth = read_truth(ground_truth) if ground_truth is not None else Truth()
-    figures = _counts(results)
+    figures = _counts(results) | {'unexplained_step': consistency.unexplained_step(
+        read_scenes(out))}
     scale = 1.0
     if truth.trajectory is not None:
         score = trajectory.evaluate(results.trajectory, truth.trajectory)
         figures |= trajectory.figures(score)
+        figures['epsilon_d_percent'] = trajectory.epsilon_d(
+            results.trajectory, truth.trajectory, results.is_metric)
         figures |= consistency.figures(
             results.trajectory, read_pose_covariances(out, stamp_offset), truth.trajectory,
             results.is_metric, is_exact=truth.planes is not None)
@@ -104,6 +109,18 @@ def read_pose_covariances(out: str | Path, stamp_offset: float = 0.0) -> dict[in
     messages = (msg for _, msg in BagReader(bag).messages(['/pose']))
     return {fields.stamp_from_message(msg.header.stamp) - shift:
             fields.pose_from_message(msg, RosFrames()).covariance for msg in messages}
+
+
+def read_scenes(out: str | Path) -> Iterator[SceneEstimate]:
+    """Yield what the messages of a run say of its poses; none where it has no messages."""
+    bag, odometry = Path(out) / 'results.mcap', None
+    if not bag.exists():
+        return
+    for _, msg in BagReader(bag).messages(['/odometry', '/planes/map']):
+        if hasattr(msg, 'twist'):
+            odometry = msg
+        elif odometry is not None and odometry.header.stamp == msg.header.stamp:
+            yield fields.scene_from_messages(odometry, msg, RosFrames())
 
 
 def read_results(out: str | Path, stamp_offset: float = 0.0) -> Results:

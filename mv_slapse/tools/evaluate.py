@@ -23,6 +23,7 @@ STREET_FRAMES = 150
 COLUMNS = {
     'poses': ('n_poses', '{:d}'), 'ATE [%]': ('ate_mean_percent', '{:.3f}'),
     'rigid [%]': ('ate_rigid_mean_percent', '{:.3f}'),
+    'ε_D [%]': ('epsilon_d_percent', '{:.2f}'), 'step': ('unexplained_step', '{:.3f}'),
     'covered [%]': ('position_covered_percent', '{:.0f}'), 'NEES': ('pose_nees', '{:.1f}'),
     'standstill [m]': ('standstill_drift_m', '{:.3f}'),
     'planes': ('n_planes', '{:d}'), 'depth [m]': ('plane_depth_error_m', '{:.2f}'),
@@ -66,13 +67,15 @@ def page(measured: dict[str, dict[str, Any]], commit: str) -> str:
         'A row is `mv_slapse run VIDEO --camera camera.yaml [--camera-height H] -o OUT`, then '
         '`mv_slapse eval OUT --ground-truth …`.\n'
         'ATE: mean position error after similarity alignment, rigid: after rigid alignment, in '
-        'per cent of the way; covered: positions within 3 sigma of the true ones; NEES: of '
-        'poses, 6 if the covariances are right, where the truth is exact; standstill: farthest '
-        'from where it stopped; planes: true ones that were found; on one: observations of planes '
-        'four fifths of whose macroblocks lie on one true plane; still so: stationary points or '
-        'blocks called moving; mirrored, cut: the same clips with other vectors; CPU: of all '
-        'stages, for each frame of the video. Speed given: `--speed` with a speed drawn from the '
-        'truth, 1 % noise, in place of the height; free scale: neither.\n\n'
+        'per cent of the way; ε_D: mean error of the way from the first pose as a share of it, '
+        'without alignment, as in table II of [SLAPSE]; step: longest between two poses, less '
+        'what twist and covariances explain [map unit]; covered: positions within 3 sigma of the '
+        'true ones; NEES: of poses, 6 if the covariances are right, where the truth is exact; '
+        'standstill: farthest from where it stopped; planes: true ones that were found; on one: '
+        'observations of planes four fifths of whose macroblocks lie on one true plane; still so:'
+        ' stationary points or blocks called moving; mirrored, cut: the same clips with other '
+        'vectors; CPU: of all stages, for each frame of the video. Speed given: `--speed` with a '
+        'speed drawn from the truth, 1 % noise, in place of the height; free scale: neither.\n\n'
         f'{_table(measured, COLUMNS)}\n'
         '## Moving obstacles\n\n'
         'In time: passages of movers of at least 6 macroblocks met by a confirmed obstacle '

@@ -1,4 +1,7 @@
+from dataclasses import replace
+
 from mv_slapse.evaluation import consistency
+from mv_slapse.records import ScaleStatus, SceneEstimate, TrackingStatus
 from mv_slapse.storage.tum import Trajectory
 import numpy as np
 import pytest
@@ -69,3 +72,34 @@ def test_poses_without_covariances_have_no_figures(rng):
     estimate, _, truth = made_up_pair(rng, 0.05)
     found = consistency.figures(estimate, {}, truth, is_metric=True, is_exact=True)
     assert found == {'position_covered_percent': None, 'pose_nees': None}
+
+
+def scenes_along(rng, n=20, jump=0.0, resets=0):
+    """Return poses 0.1 s apart of 10 m/s but for 0.1 m/s, with a jump in their midst [m]."""
+    made, t = [], np.zeros(3)
+    for i in range(n):
+        velocity = np.array([10.0, 0, 0]) + rng.normal(0, 0.1, 3)
+        t = t + 0.1 * velocity + [0, jump * (i == n // 2), 0]
+        made.append(SceneEstimate(
+            i * 10**8, TrackingStatus.OK, '', np.eye(3), t, np.eye(6), velocity, np.zeros(3),
+            0.01 * np.eye(6), ScaleStatus.METRIC, 'speed', resets=resets * (i >= n // 2)))
+    return made
+
+
+def test_steps_that_the_twist_explains_are_no_jumps(rng):
+    assert consistency.unexplained_step(scenes_along(rng)) == 0
+    assert consistency.unexplained_step([]) is None
+
+
+def test_a_jump_is_found_but_where_a_new_frame_is_told(rng):
+    # 3 sigma of 0.1 m/s in 0.1 s, and of a position that may have been corrected by so much
+    explained = 3 * np.hypot(0.01, np.sqrt(1.01**2 - 1))
+    assert consistency.unexplained_step(scenes_along(rng, jump=2.0)) == pytest.approx(
+        2 - explained, abs=0.05)
+    assert consistency.unexplained_step(scenes_along(rng, jump=2.0, resets=1)) == 0
+
+
+def test_a_correction_is_explained_by_what_it_has_made_more_certain(rng):
+    made = scenes_along(rng, jump=2.0)
+    sure = [replace(scene, pose_covariance=0.04 * np.eye(6)) for scene in made[10:]]
+    assert consistency.unexplained_step(made[:10] + sure) == 0

@@ -141,3 +141,17 @@ def test_drift_at_rest_is_the_farthest_from_where_a_standstill_began():
     stamps = (time * 1e9).astype(np.int64)
     assert trajectory._standstill_drift(source, target, stamps) == pytest.approx(0.003)
     assert trajectory._standstill_drift(source[:28], target[:28], stamps[:28]) is None
+
+
+def test_epsilon_d_is_the_mean_share_by_which_the_way_from_the_first_pose_is_off(rng):
+    truth, R = made_up_path(rng), made_up.rotation(rng)
+    longer = moved(truth, R, np.array([3.0, 1, 2]), 1.02)
+    assert_allclose(trajectory.epsilon_d(longer, truth, is_metric=True), 2)
+    # Where the scale is free the first step is the unit.
+    assert_allclose(trajectory.epsilon_d(longer, truth, is_metric=False), 0, atol=1e-9)
+    turned = Trajectory(truth.stamps, truth.positions, np.roll(truth.quaternions, 1, axis=0))
+    turned.quaternions[0] = (Rotation.from_quat(truth.quaternions[0])
+                             * Rotation.from_rotvec([0, 0.03, 0])).as_quat()
+    assert_allclose(trajectory.epsilon_d(turned, truth, is_metric=True), 3, rtol=0.1)
+    still = Trajectory(truth.stamps, 0 * truth.positions, truth.quaternions)
+    assert trajectory.epsilon_d(still, still, is_metric=True) is None

@@ -5,6 +5,7 @@ from dataclasses import replace
 import canyon as canyon_views
 import formulas
 from mv_slapse.config import SceneSettings
+from mv_slapse.evaluation.consistency import unexplained_step
 from mv_slapse.geometry import rotation
 from mv_slapse.records import (
     Label,
@@ -263,6 +264,8 @@ def test_a_ground_found_later_makes_the_scale_metric():
     canyon, filter_ = Canyon(), SceneFilter(METRIC)
     for k in range(1, 6):
         estimate, _ = filter_.step(without_ground(canyon.extraction(k)))
+        assert estimate.status is TrackingStatus.INITIALISING
+        assert 'the ground' in estimate.reason
     assert estimate.scale_status is ScaleStatus.UNKNOWN
     assert estimate.baseline == pytest.approx(1.0, abs=0.05)
     last = driven(canyon, 15, filter_=filter_, first=6)[-1]
@@ -271,6 +274,17 @@ def test_a_ground_found_later_makes_the_scale_metric():
     wall = next(plane for plane in last.planes if plane.id == WALL)
     assert wall.outline[:, 2].max() < 31
     assert np.linalg.norm(last.t_world_from_cam - canyon.pose(15)[1]) < 0.2
+
+
+def test_a_ground_found_after_more_than_a_second_leaves_what_was_published():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    early = [filter_.step(without_ground(canyon.extraction(k)))[0] for k in range(1, 16)]
+    assert {e.status for e in early[-5:]} == {TrackingStatus.OK}
+    later = driven(canyon, 30, filter_=filter_, first=16)
+    assert unexplained_step([*early, *later]) == 0
+    for k, estimate in enumerate(later, 16):
+        error = canyon.pose(k)[1] - estimate.t_world_from_cam
+        assert error @ np.linalg.solve(estimate.pose_covariance[:3, :3], error) < 14.2
 
 
 def test_the_filter_sees_what_stands_and_what_is_far_and_nothing_else():

@@ -147,7 +147,7 @@ def test_scaling_scales_the_outlines(observed):
     state, known = observed
     before = known.planes(state)[WALL].outline
     known.adopt(50, stamp(3))
-    known.scale(2.0)
+    known.scale(2.0, np.zeros(3))
     np.testing.assert_allclose(known.planes(state)[WALL].outline, 2 * before)
 
 
@@ -167,9 +167,13 @@ def test_a_well_seen_wall_stays_in_the_map_when_the_filter_gives_it_up(canyon):
     assert GROUND not in planes  # elsewhere the road is another
     assert planes[WALL].n_macroblocks == 0
     np.testing.assert_array_equal(planes[WALL].outline, before[WALL].outline)
-    known.scale(2.0)
+    known.scale(2.0, np.zeros(3))
     scaled = {plane.id: plane for plane in known.planes(state)}[WALL]
     assert scaled.depth == 2 * planes[WALL].depth
+    known.scale(1.5, np.array([3.0, -1, 2]))
+    apart = {plane.id: plane for plane in known.planes(state)}[WALL]
+    np.testing.assert_allclose(apart.outline @ apart.normal + apart.depth,
+                               1.5 * (scaled.outline @ scaled.normal + scaled.depth), atol=1e-9)
     np.testing.assert_array_equal(scaled.outline, 2 * planes[WALL].outline)
     D = np.diag([1.0, 1, 1, 2])
     np.testing.assert_allclose(scaled.covariance, D @ planes[WALL].covariance @ D)

@@ -3,6 +3,7 @@
 from copy import deepcopy
 
 from kernels.scene_reference import observation_jacobian
+from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry import rotation
 from mv_slapse.scene import state as scene_state
@@ -13,6 +14,7 @@ import pytest
 from scene_drive import between_two_poses
 
 IDS = [4, 9]
+SWAYS = SceneSettings(camera_height_sigma=0.02, camera_height_time=0.3)
 
 
 def error_between(old, new):
@@ -237,20 +239,20 @@ def test_the_height_swings_about_its_mean_and_forgets(state):
     def swayed(e):
         twin = deepcopy(state).moved(e)
         twin.error = deepcopy(state).error
-        scene_state.sway(twin, 0.2, 0.02, 0.3)
+        scene_state.sway(twin, 0.2, SWAYS)
         return twin
 
     state.heave = 0.03
     base, P = swayed(np.zeros(state.size)), state.P.copy()
     F = jacobian(lambda e: error_between(base, swayed(e)), np.zeros(state.size))
     F[state.at('mount'), state.at('mount')] = np.eye(3)
-    scene_state.sway(state, 0.2, 0.02, 0.3)
+    scene_state.sway(state, 0.2, SWAYS)
     at, left = state.at('heave'), np.exp(-0.2 / 0.3)
     assert state.heave == pytest.approx(0.03 * left)
     expected = F @ P @ F.T
     expected[at, at] += 0.02**2 * (1 - left**2)
     np.testing.assert_allclose(state.P, expected, rtol=1e-4, atol=1e-6 * np.abs(P).max())
-    scene_state.sway(state, np.inf, 0.02, 0.3)
+    scene_state.sway(state, np.inf, SWAYS)
     assert state.heave == 0
     assert state.P[at, at] == pytest.approx(0.02**2)
 
@@ -323,3 +325,20 @@ def test_a_bend_turns_the_normal_and_leaves_the_depth(state):
     plane = state.planes[4].plane
     np.testing.assert_allclose(added @ plane, 0, atol=1e-12)
     assert np.sqrt(np.trace(added) / 2) / np.linalg.norm(plane) == pytest.approx(0.01)
+
+
+def test_a_new_unit_leaves_one_place_where_it_was(rng):
+    """What is seen from there stays; the way to there, told in another unit, is as unsure."""
+    state, place = between_two_poses(rng), np.array([3.0, -1, 7])
+    state.add_plane(4, AnchoredPlane(np.array([0.1, 0.2, -0.3]), np.array([1.0, 2, 3])),
+                    1e-4 * np.eye(3))
+    state.current.t = place.copy()
+    before = deepcopy(state)
+    seen = scene_state.plane_in_camera(before, 4)
+    scene_state.rescale_about(state, place, 2.0, 0.1)
+    np.testing.assert_allclose(state.current.t, place)
+    np.testing.assert_allclose(state.previous.t - place, 2 * (before.previous.t - place))
+    np.testing.assert_allclose(scene_state.plane_in_camera(state, 4), seen / 2)
+    at = slice(state.at('current').start + 3, state.at('current').stop)
+    np.testing.assert_allclose(state.P[at, at], 4 * before.P[at, at])  # no length, no error of it
+    np.testing.assert_allclose(state.gauge.covariance[3:6, 3:6], np.outer(place, place))
