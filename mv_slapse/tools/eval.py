@@ -16,6 +16,7 @@ from mv_slapse.records import SceneEstimate
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.tables import OBSTACLES_HEADER, PLANES_HEADER, read_table
 from mv_slapse.storage.tum import read_trajectory, Trajectory
+from mv_slapse.storage.whole_files import whole
 import numpy as np
 
 
@@ -67,7 +68,10 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None,
     scale = 1.0
     if truth.trajectory is not None:
         score = trajectory.evaluate(results.trajectory, truth.trajectory)
-        figures |= trajectory.figures(score)
+        found = trajectory.figures(score)
+        # Without a known unit of length only similarity says something.
+        figures |= {name: value for name, value in found.items()
+                    if results.is_metric or 'rigid' not in name}
         figures['epsilon_d_percent'] = trajectory.epsilon_d(
             results.trajectory, truth.trajectory, results.is_metric)
         figures |= consistency.figures(
@@ -145,10 +149,31 @@ def read_results(out: str | Path, stamp_offset: float = 0.0) -> Results:
         _read_summary(out / 'summary.json'))
 
 
+def plot(path: str | Path, out: str | Path, ground_truth: str | Path | None,
+         stamp_offset: float = 0.0):
+    """Draw the trajectory of a run over the true one.
+
+    Raises
+    ------
+    UsageError
+        Where there is no true trajectory.
+    """
+    from mv_slapse.tools import figures, page
+    truth = read_truth(ground_truth) if ground_truth is not None else Truth()
+    if truth.trajectory is None:
+        raise UsageError('--plot needs a true trajectory; give --ground-truth')
+    comparison = figures.compare(read_results(out, stamp_offset), truth)
+    with whole(path, 'wb') as file:
+        file.write(page.png(figures.way_and_error(comparison)))
+
+
 def text(figures: dict[str, Any]) -> str:
     """Return figures as lines of a table."""
     width = max(map(len, figures))
-    return '\n'.join(f'{name:{width}}  {_shown(value)}' for name, value in figures.items())
+    lines = [f'{name:{width}}  {_shown(value)}' for name, value in figures.items()]
+    if figures.get('scale_status') != 'metric' and 'ate_mean_m' in figures:
+        lines.append('the scale is free: errors are those after alignment in scale, too')
+    return '\n'.join(lines)
 
 
 def _counts(results: Results) -> dict[str, Any]:

@@ -69,6 +69,24 @@ def overview(comparison: Comparison, map_: dict[str, Any], scene: dict[str, Any]
     return figure
 
 
+def way_and_error(comparison: Comparison) -> Figure:
+    """Draw the aligned way over the true one from above, and the position's error over time."""
+    figure = Figure(figsize=(8, 8), layout='constrained')
+    above, error = figure.subplots(2, 1, height_ratios=(3, 1))
+    true, found = comparison.truth.trajectory.positions, comparison.positions
+    above.plot(true[:, 0], true[:, 2], color=TRUE, lw=4, label='true')
+    above.plot(found[:, 0], found[:, 2], color='black', lw=1, label='found, aligned')
+    above.set(xlabel='right x [m]', ylabel='forward z [m]', aspect='equal')
+    above.set_adjustable('datalim')
+    error.plot(comparison.stamps / 1e9, comparison.errors, color='black')
+    error.set(xlabel='time [s]', ylabel='error of the position [m]')
+    error.set_ylim(bottom=0)
+    for axes in (above, error):
+        axes.grid(alpha=0.3)
+    _legend(above)
+    return figure
+
+
 def from_above(comparison: Comparison, map_: dict[str, Any], scene: dict[str, Any]) -> Figure:
     """Draw trajectory, planes and obstacles from above, with their truth in grey."""
     figure = Figure(figsize=(11, 4.6), layout='constrained')

@@ -109,6 +109,8 @@ def _add_eval(commands: Any) -> argparse.ArgumentParser:
                          help='rate of the frames in --labels and --boxes')
     command.add_argument('--stamp-offset', type=float, default=0.0, metavar='S',
                          help="taken off the results' stamps first (default: 0)")
+    command.add_argument('--plot', metavar='PNG',
+                         help='draw the way over the true one, and the error over time')
     command.add_argument('--json', action='store_true', help='print one JSON object')
     return command
 
@@ -195,6 +197,8 @@ def _eval(args: argparse.Namespace) -> int:
     figures = evaluation.evaluate(args.results, args.ground_truth, args.labels, args.boxes,
                                   args.stamp_offset, args.fps, args.annotation)
     _print(args, figures, evaluation.text(figures))
+    if args.plot:
+        evaluation.plot(args.plot, args.results, args.ground_truth, args.stamp_offset)
     return 0
 
 

@@ -163,8 +163,6 @@ def measure(case: Case, cache: Cache) -> Figures:
                                     annotation=case.annotation)
         except MvSlapseError as error:
             return {'error': str(error)}
-    if summary.scale_status != 'metric':
-        figures.pop('ate_rigid_mean_percent', None)
     return figures | {'cpu_ms': 1e3 * summary.cpu_seconds['total'] / max(summary.frames, 1)}
 
 

@@ -1,6 +1,7 @@
 import json
 import shutil
 
+import cv2
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.storage.tum import parse_stamp
 from mv_slapse.tools import eval as tool
@@ -20,6 +21,24 @@ def test_a_rendered_street_gives_all_figures(clip):
             'movers_found', 'movers_total', 'false_obstacles_per_frame'} <= set(figures)
     assert figures['ate_mean_percent'] < 5
     assert figures['distance_m'] == pytest.approx(10 * 20 / 15, rel=0.15)
+
+
+def test_a_free_scale_is_said_and_gives_no_rigid_error(clip, out):
+    summary = json.loads((out / 'summary.json').read_text())
+    (out / 'summary.json').write_text(json.dumps(summary | {'scale_status': 'unknown'}))
+    figures = tool.evaluate(out, clip.truth / 'ground_truth.tum')
+    assert not [name for name in figures if 'rigid' in name]
+    assert 'the scale is free' in tool.text(figures)
+    assert 'the scale is free' not in tool.text(tool.evaluate(clip.out, clip.truth))
+
+
+def test_the_way_is_drawn(clip, tmp_path):
+    tool.plot(tmp_path / 'way.png', clip.out, clip.truth)
+    image = cv2.imread(str(tmp_path / 'way.png'))
+    assert image.shape == (800, 800, 3)
+    assert np.ptp(image) == 255
+    with pytest.raises(UsageError, match='--plot needs a true trajectory'):
+        tool.plot(tmp_path / 'none.png', clip.out, None)
 
 
 def test_a_trajectory_alone_gives_what_it_can(clip):
