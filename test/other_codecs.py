@@ -17,7 +17,7 @@ CODECS = {  # FFmpeg's decoder -> encoder, its options
 
 
 def coded(images: list[np.ndarray], codec: str, period: int = PERIOD,
-          start: int = 0) -> list[Packet]:
+          start: int = 0, **more: str) -> list[Packet]:
     """Return the pictures coded, one every period [ns], the first at ``start``."""
     name, options = CODECS[codec]
     context = av.CodecContext.create(name, 'w')
@@ -25,7 +25,8 @@ def coded(images: list[np.ndarray], codec: str, period: int = PERIOD,
     context.width, context.height = frames[0].width, frames[0].height
     context.pix_fmt = 'yuvj420p' if codec == 'mjpeg' else 'yuv420p'
     context.time_base, context.framerate = Fraction(1, 25), Fraction(25)
-    context.options, context.thread_count, context.gop_size = options, 1, 8
+    context.options = {**options, **more}
+    context.thread_count, context.gop_size = 1, 8
     packets = []
     for i, frame in enumerate([*frames, None]):
         if frame is not None:
