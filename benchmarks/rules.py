@@ -153,7 +153,7 @@ def _no_blocks(first, *_args, **_named):
 
 def _only_votes(self, extraction, correspondences):
     """Label macroblocks by their own vectors alone."""
-    from mv_slapse.movers.macroblocks import vote
+    from mv_slapse.movers.mask import vote
     label, plane = vote(extraction, correspondences.x_cur)
     return replace(extraction, macroblock_label=label, macroblock_plane=plane)
 
