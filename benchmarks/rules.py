@@ -170,18 +170,6 @@ def _no_departure(past, extraction, *_args):
     return np.zeros(len(extraction.x_cur))
 
 
-def _keep_ratio(old):
-    """Return the first ratio of a pair whenever it is asked for."""
-    def first(self, blank, *args):
-        """Compare the baselines once."""
-        known = self.__dict__.get('_first_ratio')
-        if known is None or known[0] != blank.stamp:
-            known = self._first_ratio = blank.stamp, old(self, blank, *args)
-        return known[1]
-
-    return first
-
-
 def _keep_evidence(old):
     """Return a refinement after which blocks are not judged again."""
     def refined(self, pair, found, prior):
@@ -327,8 +315,6 @@ RULES = (
     Rule('guessed ground', 'where no ground is seen a vague height bounds it for movers',
          {SURFACES + 'ground:GUESSED': value(-1.0)}),
     # Motion and extraction.
-    Rule('second ratio', 'the baselines are compared again after the refinement',
-         {EXTRACTOR + 'PlaneExtractor._ratio': _keep_ratio}),
     Rule('second evidence', 'blocks are judged again after the refinement',
          {EXTRACTOR + 'PlaneExtractor._refined': _keep_evidence}),
     Rule('joint refinement', 'motion and planes are estimated again together',
