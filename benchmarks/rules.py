@@ -153,7 +153,7 @@ def _no_blocks(first, *_args, **_named):
 
 def _only_votes(self, extraction, correspondences):
     """Label macroblocks by their own vectors alone."""
-    from mv_slapse.movers.macroblocks import vote
+    from mv_slapse.movers.mask import vote
     label, plane = vote(extraction, correspondences.x_cur)
     return replace(extraction, macroblock_label=label, macroblock_plane=plane)
 
@@ -168,18 +168,6 @@ def _without_past(self, extraction):
 def _no_departure(past, extraction, *_args):
     """Return that no block has left."""
     return np.zeros(len(extraction.x_cur))
-
-
-def _keep_ratio(old):
-    """Return the first ratio of a pair whenever it is asked for."""
-    def first(self, blank, *args):
-        """Compare the baselines once."""
-        known = self.__dict__.get('_first_ratio')
-        if known is None or known[0] != blank.stamp:
-            known = self._first_ratio = blank.stamp, old(self, blank, *args)
-        return known[1]
-
-    return first
 
 
 def _keep_evidence(old):
@@ -327,8 +315,6 @@ RULES = (
     Rule('guessed ground', 'where no ground is seen a vague height bounds it for movers',
          {SURFACES + 'ground:GUESSED': value(-1.0)}),
     # Motion and extraction.
-    Rule('second ratio', 'the baselines are compared again after the refinement',
-         {EXTRACTOR + 'PlaneExtractor._ratio': _keep_ratio}),
     Rule('second evidence', 'blocks are judged again after the refinement',
          {EXTRACTOR + 'PlaneExtractor._refined': _keep_evidence}),
     Rule('joint refinement', 'motion and planes are estimated again together',

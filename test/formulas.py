@@ -1,7 +1,6 @@
 """Formulas, and kernels that are parts of others, by themselves: only tests ask for them."""
 
 from math import comb
-from typing import NamedTuple
 
 import cv2
 from mv_slapse.codec.merging import existence
@@ -21,17 +20,10 @@ from mv_slapse.movers.moving_plane import (
     View,
 )
 from mv_slapse.records import SegmentKind
-from mv_slapse.scene.observations import Observation, rows
+from mv_slapse.scene.state import relative_motion
 import numpy as np
 
 CELL = 8  # px, the smallest partition that decoders report
-
-
-class Linearised(NamedTuple):
-    """Innovation z - h (m,) and derivative H of h (m, n) by the error state."""
-
-    innovation: np.ndarray
-    H: np.ndarray
 
 
 def fundamental(K, R_cur_from_prev, t_cur_from_prev) -> np.ndarray:
@@ -207,11 +199,6 @@ def behind(pair, R, t) -> float:
     return compiled.behind(*columns(pair, R, t))
 
 
-def linearised(observation: Observation, state) -> Linearised:
-    """Return what an observation says at a state."""
-    return Linearised(*compiled.scene_observe(*state.arrays, rows([observation], state)))
-
-
 def fit_moving_plane(x_cur, x_prev, sigma, block, K, R_cur_from_prev, t_cur_from_prev,
                      ground=None) -> MovingPlane | None:
     """Estimate the plane and the displacement of a moving region, (12) of [MVO].
@@ -315,3 +302,26 @@ def distort(camera: Camera, x: np.ndarray) -> np.ndarray:
                                          camera.distortion)[:, 0]
     return cv2.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), camera.K,
                              camera.distortion)[0][:, 0]
+
+
+def plane_in_camera_jacobian(state, id: int):
+    """Return the derivatives of plane_in_camera by pose error (3, 6) and plane (3, 3)."""
+    plane, pose = state.planes[id], state.current
+    offset = pose.t - plane.anchor
+    scale = 1 + plane.plane @ offset
+    turned = pose.R.T @ plane.plane
+    by_pose = np.c_[skew(turned / scale), -np.outer(turned, plane.plane) / scale**2]
+    return by_pose, pose.R.T / scale - np.outer(turned, offset) / scale**2
+
+
+def relative_motion_jacobian(state):
+    """Return the derivatives (6, 6) of (w, t) by the errors of the previous and current pose.
+
+    R_cur_from_prev -> exp(w) R_cur_from_prev as in geometry.two_view.
+    """
+    R_cp, t_cp = relative_motion(state)
+    by_previous, by_current = np.zeros((6, 6)), np.zeros((6, 6))
+    by_previous[:3, :3], by_previous[3:, 3:] = R_cp, state.current.R.T
+    by_current[:3, :3], by_current[3:, 3:] = -np.eye(3), -state.current.R.T
+    by_current[3:, :3] = skew(t_cp)
+    return by_previous, by_current

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import formulas
-from mv_slapse.geometry import epipolar, lattice, moving_plane
+from mv_slapse.geometry import blocks, epipolar, moving_plane
 from mv_slapse.geometry.blocks import grid_index, grid_shape
 from mv_slapse.geometry.camera import to_pixels, to_rays
 import numpy as np
@@ -199,8 +199,8 @@ def inherited(memory, extraction, lifetime):
     size = np.array([extraction.width, extraction.height])
     kept = ((extraction.previous_stamp - memory.seen < lifetime)
             & np.all((x >= -0.5) & (x < size - 0.5), axis=1))
-    grid = lattice.paint(*size, x[kept], memory.block[kept], np.arange(kept.sum()))
-    source = lattice.lookup(grid, extraction.x_prev.astype(float))
+    grid = blocks.paint(*size, x[kept], memory.block[kept], np.arange(kept.sum()))
+    source = blocks.lookup(grid, extraction.x_prev.astype(float))
     return (np.where(source < 0, np.nan, memory.score[kept][source]),
             np.where(source < 0, -1, memory.id[kept][source]))
 

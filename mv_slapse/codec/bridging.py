@@ -53,15 +53,7 @@ def is_untrue(segment: Segment) -> bool:
 def search(segment: Segment, expect: MotionPrior, settings: DecoderSettings) -> Evidence:
     """Return the macroblocks of key frame k found in key frame k-1, as direct evidence.
 
-    Lucas-Kanade steps from the expected motion, there and back.
-
-    Parameters
-    ----------
-    segment : Segment
-        One that `can_bridge`.
-    expect : MotionPrior
-        Where the search starts.
-    settings : DecoderSettings
+    Of a segment that `can_bridge`: Lucas-Kanade steps from the expected motion, there and back.
     """
     current, previous = segment.current.luma, segment.previous.luma
     x = _centres(segment.current.width, segment.current.height)

@@ -78,7 +78,7 @@ class FrameDecoder:
         # FFmpeg's MPEG decoders hand out the last key picture without its vectors unless another
         # one pushes it out; the echo itself has no stamp and is dropped.
         echo = self._last_key and self._context.name != 'h264'
-        return (self._decode(_numbered(self._last_key, 0)) if echo else []) + self._decode(None)
+        return (self._decode(numbered(self._last_key, 0)) if echo else []) + self._decode(None)
 
     def _open(self, packet: Packet):
         codec = packet.codec if packet.extradata else bitstream.codec_of(packet.data, packet.codec)
@@ -105,7 +105,7 @@ class FrameDecoder:
         self._continuity.add(self._count, self._places.read(packet.data))
         if self._context.name != 'h264' and not places.is_b_picture(packet.data):
             self._last_key = packet.data
-        return _numbered(packet.data, self._count)
+        return numbered(packet.data, self._count)
 
     def _decode(self, wrapped: av.Packet | None) -> list[FrameVectors]:
         try:
@@ -183,7 +183,8 @@ class _Stamps:
         return self._pending.pop(min(self._pending, default=0) if self._by_age else number, None)
 
 
-def _numbered(data: bytes, number: int) -> av.Packet:
+def numbered(data: bytes, number: int) -> av.Packet:
+    """Return a packet that carries a number through FFmpeg in place of its time."""
     # Copied, as FFmpeg reads beyond the end: its own buffers are padded with zeros, those of
     # Python are not, and what lay there spoilt MPEG-4 pictures at random.
     packet = av.Packet(len(data))

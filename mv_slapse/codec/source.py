@@ -102,17 +102,9 @@ class _Clock:
 
 
 def open_source(path_or_url: str | Path) -> Source:
-    """Open a video file or a stream.
+    """Open a video file, or a URL of file, rtsp, rtp, udp, tcp, http or https.
 
-    Parameters
-    ----------
-    path_or_url : str or Path
-        A file, or a URL of file, rtsp, rtp, udp, tcp, http or https.
-
-    Raises
-    ------
-    UnusableInput
-        Where there is no such file, or no video in it.
+    Raises UnusableInput where there is no such file, or no video in it.
     """
     name = str(path_or_url)
     check_protocol(name)

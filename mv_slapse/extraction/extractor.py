@@ -108,8 +108,6 @@ class PlaneExtractor:
                                                   free[rows], road[rows]))
         found = self._moving(blank, pair, self._named(found), floor, ratio)
         found = self._refined(pair, found, floor)
-        # Anew, by the motion that the next pair will compare with: its error then cancels.
-        ratio = self._ratio(blank, found.evidence, True, found.fit)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
         return self._finished(blank, pair, found, noise, floor), rows
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from mv_slapse.geometry import lattice
+from mv_slapse.geometry.blocks import count_macroblocks
 from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.motion.observations import BlockObservations
 from mv_slapse.records import Extraction, Label, PlaneObservation
@@ -46,4 +46,4 @@ def observations(x_cur, found: Found):
     for plane in found.planes:
         yield PlaneObservation(plane.id, Label.STATIONARY, plane.plane, plane.covariance,
                                is_ground=plane.is_ground,
-                               n_macroblocks=lattice.count_macroblocks(x_cur[plane.member]))
+                               n_macroblocks=count_macroblocks(x_cur[plane.member]))

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import cv2
 from mv_slapse.geometry.blocks import grid_centres, grid_index, grid_shape
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.movers.identity import LIFETIME
-from mv_slapse.movers.macroblocks import vote
 from mv_slapse.movers.moving_plane import MIN_BLOCKS
 from mv_slapse.records import Correspondences, Extraction, Label
 import numpy as np
@@ -92,6 +92,20 @@ class Silhouettes:
         seen[origin >= 0] = before.seen[origin[origin >= 0]]
         seen[(seen > stamp) | (stamp - seen >= LIFETIME)] = NEVER
         return seen
+
+
+def vote(extraction: Extraction, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return label (M,) int8 and plane (M,) int32 of each macroblock, row by row; -1: none.
+
+    Partitions vote with their area, at pixels x (N, 2) float32 of the picture: an extraction's own
+    are undistorted. Wrong vectors (UNKNOWN) do not vote; of equal votes the lower label wins. The
+    plane is the one with most of the winners' area.
+    """
+    return compiled.vote_macroblocks(
+        np.ascontiguousarray(x, np.float32), np.ascontiguousarray(extraction.block, np.uint8),
+        np.ascontiguousarray(extraction.label, np.int8),
+        np.ascontiguousarray(extraction.plane_id, np.int32), extraction.width, extraction.height,
+        int(Label.UNKNOWN))
 
 
 def _motion(extraction, correspondences, id_) -> _Motion | None:

@@ -6,8 +6,8 @@ does without the places that the last pair showed moving, and the last estimate 
 around a mover that move as it does.
 """
 
-from mv_slapse.geometry import lattice, moving_plane
-from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry import moving_plane
+from mv_slapse.geometry.blocks import lookup, MACROBLOCK, paint
 from mv_slapse.geometry.camera import to_pixels
 from mv_slapse.motion.estimate import MIN_CORRESPONDENCES
 from mv_slapse.movers.regions import RULES
@@ -63,8 +63,8 @@ def below(rays: np.ndarray, rho: np.ndarray, blur: np.ndarray, floor: np.ndarray
 
 def painted(shown: Extraction) -> np.ndarray:
     """Return the grid of cells that holds 1 where there is a mover."""
-    return lattice.paint(shown.width, shown.height, shown.x_cur, shown.block,
-                         (shown.label == Label.MOVING).astype(int))
+    return paint(shown.width, shown.height, shown.x_cur, shown.block,
+                 (shown.label == Label.MOVING).astype(int))
 
 
 def taken(grid: np.ndarray | None, x_prev: np.ndarray) -> np.ndarray:
@@ -74,7 +74,7 @@ def taken(grid: np.ndarray | None, x_prev: np.ndarray) -> np.ndarray:
     """
     if grid is None:
         return np.zeros(len(x_prev), bool)
-    return lattice.lookup(grid, x_prev) > 0
+    return lookup(grid, x_prev) > 0
 
 
 def without(held: np.ndarray) -> np.ndarray:

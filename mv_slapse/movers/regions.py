@@ -11,8 +11,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from mv_slapse.config import USUAL_HEIGHT
-from mv_slapse.geometry import lattice
-from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry.blocks import count_macroblocks, MACROBLOCK
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.movers import body
 from mv_slapse.movers.identity import FADING, FIRST_ID, ids_of, Judged, Memory
@@ -262,7 +261,7 @@ def _labelled(extraction, alike, planes, ids, told, view):
         plane_id[member] = ids[i]
         found.append(PlaneObservation(
             int(ids[i]), Label.MOVING, plane.plane, plane.covariance, plane.t_d, plane.product,
-            plane.scale_prior, False, lattice.count_macroblocks(extraction.x_cur[member]),
+            plane.scale_prior, False, count_macroblocks(extraction.x_cur[member]),
             float(max(told.total[i], told.gone[i])), float(told.gone[i])))
     return replace(extraction, label=label, plane_id=plane_id,
                    planes=(*extraction.planes, *found))

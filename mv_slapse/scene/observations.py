@@ -8,14 +8,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from mv_slapse.config import SceneSettings
-from mv_slapse.scene.state import (
-    HEIGHT,
-    N_LASTING,
-    plane_in_camera,
-    plane_in_camera_jacobian,
-    SceneState,
-    SPEED,
-)
+from mv_slapse.kernels.binding import compiled
+from mv_slapse.scene.state import HEIGHT, N_LASTING, SceneState, SPEED
 import numpy as np
 
 PAIR_HEIGHT = 1e-3  # share of the height by which a pair errs besides: crown and ruts
@@ -57,6 +51,11 @@ def rows(observations: list[Observation], state: SceneState) -> np.ndarray:
     return np.array([one.row(state) for one in observations]).reshape(-1, 30)
 
 
+def linearised(observation: Observation, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
+    """Return innovation z - h (m,) at a state and derivative H of h (m, n) by its error."""
+    return compiled.scene_observe(*state.arrays, rows([observation], state))
+
+
 def mounted(ground: int, settings: SceneSettings, lasting: np.ndarray) -> list[Observation]:
     """Return what is known of a camera that is mounted on a ground vehicle.
 
@@ -84,11 +83,8 @@ def camera_height(ground: int, height: float, sigma: float,
 
 def height_above(state: SceneState, ground: int) -> tuple[float, np.ndarray]:
     """Return the camera's height above a plane of the map, and the derivative (n,) of its log."""
-    plane = plane_in_camera(state, ground)
-    by_pose, by_plane = plane_in_camera_jacobian(state, ground)
-    upward, H = -plane / (plane @ plane), np.zeros(state.size)
-    H[state.at('current')], H[state.at(ground)] = upward @ by_pose, upward @ by_plane
-    return float(1 / np.linalg.norm(plane)), H
+    [off], [H] = linearised(Observation(Kind.CAMERA_HEIGHT, 1.0, 0.0, ground), state)
+    return float(-off), H / -off
 
 
 def baseline(length: float, sigma: float, lasting: float = 0.0) -> Observation:

@@ -261,16 +261,6 @@ def plane_in_camera(state: SceneState, id: int) -> np.ndarray:
     return pose.R.T @ plane.plane / (1 + plane.plane @ (pose.t - plane.anchor))
 
 
-def plane_in_camera_jacobian(state: SceneState, id: int):
-    """Return the derivatives of plane_in_camera by pose error (3, 6) and plane (3, 3)."""
-    plane, pose = state.planes[id], state.current
-    offset = pose.t - plane.anchor
-    scale = 1 + plane.plane @ offset
-    turned = pose.R.T @ plane.plane
-    by_pose = np.c_[rotation.skew(turned / scale), -np.outer(turned, plane.plane) / scale**2]
-    return by_pose, pose.R.T / scale - np.outer(turned, offset) / scale**2
-
-
 def sway(state: SceneState, dt: float, settings: SceneSettings):
     """Let the heave, which is a share of the height and lasts for a while, settle for dt [s]."""
     sigma, time = settings.camera_height_sigma, settings.camera_height_time
@@ -287,19 +277,6 @@ def relative_motion(state: SceneState):
     R_cam_from_world = state.current.R.T
     return (R_cam_from_world @ state.previous.R,
             R_cam_from_world @ (state.previous.t - state.current.t))
-
-
-def relative_motion_jacobian(state: SceneState):
-    """Return the derivatives (6, 6) of (w, t) by the errors of the previous and current pose.
-
-    R_cur_from_prev -> exp(w) R_cur_from_prev as in geometry.two_view.
-    """
-    R_cp, t_cp = relative_motion(state)
-    by_previous, by_current = np.zeros((6, 6)), np.zeros((6, 6))
-    by_previous[:3, :3], by_previous[3:, 3:] = R_cp, state.current.R.T
-    by_current[:3, :3], by_current[3:, 3:] = -np.eye(3), -state.current.R.T
-    by_current[3:, :3] = rotation.skew(t_cp)
-    return by_previous, by_current
 
 
 def scale_lengths(state: SceneState, factor: float):

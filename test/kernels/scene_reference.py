@@ -1,17 +1,16 @@
 """The formulas of the scene's kernels in numpy."""
 
 import formulas
-from formulas import linearised
+from formulas import plane_in_camera_jacobian, relative_motion_jacobian
 from mv_slapse.geometry import epipolar, rotation
 from mv_slapse.scene import gauge as scene_gauge
+from mv_slapse.scene.observations import linearised
 from mv_slapse.scene.state import (
     FOCAL,
     N_LASTING,
     PLACE,
     plane_in_camera,
-    plane_in_camera_jacobian,
     relative_motion,
-    relative_motion_jacobian,
     stretched,
     TURN,
 )

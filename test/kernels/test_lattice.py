@@ -1,7 +1,7 @@
 """Connected components and counts of macroblocks against SciPy's."""
 
 import formulas
-from mv_slapse.geometry import lattice
+from mv_slapse.geometry.blocks import count_macroblocks
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_components_are_kept_by_the_macroblocks_that_they_cover(rng, smallest):
     covered = [len(np.unique(cell[component == i], axis=0)) for i in component]
     np.testing.assert_array_equal(formulas.largest_components(x, smallest),
                                   np.array(covered) >= smallest)
-    assert lattice.count_macroblocks(x) == len(np.unique(cell, axis=0))
+    assert count_macroblocks(x) == len(np.unique(cell, axis=0))
 
 
 def test_what_lies_far_outside_the_picture_needs_no_large_grid():

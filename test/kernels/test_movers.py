@@ -6,7 +6,7 @@ from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import Depths
 from mv_slapse.movers import moving_plane, outlines, reference_depth, regions, score
 from mv_slapse.movers.identity import History, Judged, LIFETIME, Memory
-from mv_slapse.movers.macroblocks import vote
+from mv_slapse.movers.mask import vote
 from mv_slapse.movers.moving_plane import View
 from mv_slapse.movers.reference_depth import Past
 from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus, SegmentKind

@@ -1,4 +1,4 @@
-from mv_slapse.movers import macroblocks
+from mv_slapse.movers import mask
 from mv_slapse.records import CameraMotion, Extraction, MotionStatus, SegmentKind
 import numpy as np
 
@@ -12,7 +12,7 @@ def vote(x, block, label, plane, x_picture=None, size=(40, 32)):
         x_prev=x, sigma=np.ones(n, np.float32), block=block, label=np.array(label, np.int8),
         plane_id=np.array(plane, np.int32))
     places = x if x_picture is None else np.array(x_picture, np.float32)
-    return macroblocks.vote(extraction, places)
+    return mask.vote(extraction, places)
 
 
 def test_a_macroblock_has_the_label_of_its_vector():

@@ -1,9 +1,8 @@
 """What is observed beside correspondences: derivative of each innovation, and its value."""
 
-from formulas import linearised
 from mv_slapse.scene import observations as scene_observations
 from mv_slapse.scene import state as scene_state
-from mv_slapse.scene.observations import Kind, Observation
+from mv_slapse.scene.observations import Kind, linearised, Observation
 from mv_slapse.scene.state import AnchoredPlane
 from numeric import jacobian
 import numpy as np
@@ -33,7 +32,7 @@ def state(rng):
 def test_each_jacobian_is_the_numerical_one_of_its_innovation(state, name):
     observation = OBSERVATIONS[name]
     _, H = linearised(observation, state)
-    numerical = -jacobian(lambda e: linearised(observation, state.moved(e)).innovation,
+    numerical = -jacobian(lambda e: linearised(observation, state.moved(e))[0],
                           np.zeros(state.size))
     # The mount is a unit vector: an error along itself does not count.
     at, along = state.at('mount'), np.outer(state.mount, state.mount)
@@ -47,10 +46,10 @@ def test_innovations_by_hand():
     state.current.t = np.array([0, 0.3, 2.0])
     state.add_plane(ROAD, AnchoredPlane(np.array([0, -0.5, 0]), np.array([0, 0.3, 0])), np.eye(3))
     state.depth_scale = 0.5
-    innovation = {name: linearised(one, state).innovation for name, one in OBSERVATIONS.items()}
+    innovation = {name: linearised(one, state)[0] for name, one in OBSERVATIONS.items()}
     np.testing.assert_allclose(innovation['camera height'], [1.65 - 2.0])
     state.heave = 0.1
-    np.testing.assert_allclose(linearised(OBSERVATIONS['camera height'], state).innovation,
+    np.testing.assert_allclose(linearised(OBSERVATIONS['camera height'], state)[0],
                                [1.65 * 1.1 - 2])
     assert OBSERVATIONS['camera height'].lasting.tolist() == [0] * scene_state.N_LASTING
     wrong = np.zeros(scene_state.N_LASTING)

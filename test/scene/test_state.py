@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 
+import formulas
 from kernels.scene_reference import observation_jacobian
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import plane as plane_geometry
@@ -144,7 +145,7 @@ def test_a_plane_through_the_origin_of_the_world_is_no_singularity():
 
 
 def test_plane_in_camera_jacobian_is_the_numerical_one(state):
-    by_pose, by_plane = scene_state.plane_in_camera_jacobian(state, 4)
+    by_pose, by_plane = formulas.plane_in_camera_jacobian(state, 4)
     numerical = jacobian(lambda e: scene_state.plane_in_camera(state.moved(e), 4),
                          np.zeros(state.size))
     np.testing.assert_allclose(by_pose, numerical[:, state.at('current')], rtol=1e-5, atol=1e-8)
@@ -170,7 +171,7 @@ def test_observation_jacobian_is_the_numerical_one(state):
     numerical = jacobian(observed, np.zeros(state.size))
     G = observation_jacobian(state, IDS)
     np.testing.assert_allclose(G, numerical, rtol=1e-5, atol=1e-7)
-    by_previous, by_current = scene_state.relative_motion_jacobian(state)
+    by_previous, by_current = formulas.relative_motion_jacobian(state)
     np.testing.assert_array_equal(G[:6, state.at('previous')], by_previous)
     np.testing.assert_array_equal(G[:6, state.at('current')], by_current)
 
@@ -290,7 +291,7 @@ def test_a_copied_pose_is_independent(state):
 
 def test_moving_the_anchor_moves_neither_the_plane_nor_its_uncertainty_in_the_camera(rng, state):
     def seen(state):
-        by_pose, by_plane = scene_state.plane_in_camera_jacobian(state, 4)
+        by_pose, by_plane = formulas.plane_in_camera_jacobian(state, 4)
         J = np.zeros((3, state.size))
         J[:, state.at('current')], J[:, state.at(4)] = by_pose, by_plane
         return scene_state.plane_in_camera(state, 4), J @ state.P @ J.T

@@ -66,7 +66,7 @@ def without_pair(scene, state, *observations):
 
 def test_a_linear_observation_is_that_of_the_filter(rng, scene, state):
     observation = scene_observations.camera_height(ROAD, 1.9, 0.3)
-    innovation, H = formulas.linearised(observation, state)
+    innovation, H = scene_observations.linearised(observation, state)
     twin = ekf.State()
     twin.add('all', np.zeros(state.size), state.P)
     ekf_reference.update(twin, innovation, H, np.eye(1) * 0.3**2)

@@ -75,14 +75,10 @@ class ImageEncoder:
         self._count = 0
 
     def feed(self, image: np.ndarray, stamp: int) -> list[Packet]:
-        """Return the packets that this picture completes.
+        """Return the packets that this picture, taken at a stamp [ns], completes.
 
-        Parameters
-        ----------
-        image : (height, width) or (height, width, 3) uint8
-            Grey or BGR; an odd last row or column is cut off.
-        stamp : int
-            Time [ns].
+        It is grey (height, width) or BGR (height, width, 3) uint8; an odd last row or column is
+        cut off.
         """
         return self.feed_frame(_frame(image), stamp)
 
@@ -146,10 +142,7 @@ def write_video(path: str | Path, images: Iterable[np.ndarray], fps: float,
 def pictures(path: str | Path) -> Iterator[np.ndarray]:
     """Yield the pictures of a video file, (height, width) uint8 grey, in order of presentation.
 
-    Raises
-    ------
-    UnusableInput
-        Where it cannot be read.
+    Raises UnusableInput where it cannot be read.
     """
     try:
         with av.open(str(path)) as container:

@@ -3,25 +3,18 @@
 import av
 from mv_slapse.codec import bitstream
 from mv_slapse.codec.encoding.encoder import encoding_of, ImageEncoder
-from mv_slapse.codec.frames import WITH_VECTORS
+from mv_slapse.codec.frames import MAX_PIXELS, numbered, WITH_VECTORS
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.config import EncoderSettings
 from mv_slapse.errors import UnusableInput
 
-MAX_PIXELS = 64_000_000
 HELD = 64  # packets whose pictures may still be inside the decoder; 16 is the most of HEVC
 # FFmpeg's own decoder of AV1 needs hardware.
 DECODERS = {'av1': 'libdav1d'}
 
 
 class PictureDecoder:
-    """Packets of any codec to pictures.
-
-    Attributes
-    ----------
-    codec : str
-        FFmpeg's name of it; empty before the first packet.
-    """
+    """Packets of any codec to pictures."""
 
     def __init__(self):
         """Open nothing until the first packet tells the codec."""
@@ -29,25 +22,20 @@ class PictureDecoder:
         self._stamps: dict[int, int] = {}
         self._count = 0
         self._is_whole = True
-        self.codec = ''
+        self.codec = ''  # FFmpeg's name of it; empty before the first packet
 
     def feed(self, packet: Packet) -> list[tuple[av.VideoFrame, int]]:
         """Return the pictures, with their stamps [ns], that a packet completes.
 
         A packet that cannot be decoded gives nothing, nor do the pictures after it up to one that
-        needs no other.
-
-        Raises
-        ------
-        UnusableInput
-            Where FFmpeg has no decoder for the codec.
+        needs no other. Raises UnusableInput where FFmpeg has no decoder for the codec.
         """
         if self._context is None:
             self._open(packet)
         self._count += 1
         self._stamps[self._count] = packet.stamp
         self._stamps.pop(self._count - HELD, None)
-        return self._decode(_numbered(packet.data, self._count)) if packet.data else []
+        return self._decode(numbered(packet.data, self._count)) if packet.data else []
 
     def flush(self) -> list[tuple[av.VideoFrame, int]]:
         """Return the pictures still held back, at the end of the stream."""
@@ -101,12 +89,8 @@ class Recoder:
     def feed(self, item: Packet | Picture) -> list[Packet]:
         """Return the packets that a picture, or a packet, completes.
 
-        Over what cannot be decoded the motion between the whole pictures is measured.
-
-        Raises
-        ------
-        UnusableInput
-            Where FFmpeg has no decoder for the codec.
+        Over what cannot be decoded the motion between the whole pictures is measured. Raises
+        UnusableInput where FFmpeg has no decoder for the codec.
         """
         if isinstance(item, Picture):
             return self._encoder.feed(item.image, item.stamp)
@@ -132,9 +116,3 @@ def codec_of(packet: Packet) -> str:
     """Return the codec of a packet, by its bytes where these are a stream of their own."""
     return (packet.codec if packet.extradata
             else bitstream.codec_of(packet.data, packet.codec))
-
-
-def _numbered(data: bytes, number: int) -> av.Packet:
-    packet = av.Packet(data)
-    packet.pts = packet.dts = number
-    return packet

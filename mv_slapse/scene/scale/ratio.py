@@ -10,17 +10,12 @@ from dataclasses import dataclass
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
-from mv_slapse.geometry import rotation, two_view
+from mv_slapse.geometry import two_view
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import CameraMotion, Extraction
 from mv_slapse.scene.gating import RATIO_GATE
-from mv_slapse.scene.observations import Kind, Observation
-from mv_slapse.scene.state import (
-    log_baseline,
-    relative_motion,
-    relative_motion_jacobian,
-    SceneState,
-)
+from mv_slapse.scene.observations import Kind, linearised, Observation
+from mv_slapse.scene.state import log_baseline, SceneState
 import numpy as np
 
 # Of the log of a baseline: beyond, it may as well be none at all. Guessed after a rest it is
@@ -37,19 +32,6 @@ class Depths:
     t: np.ndarray  # (3,): t_cur_from_prev, |t| = 1
     slope: np.ndarray  # (6,): derivative of the mean log of their inverse by (w, t), R -> exp(w) R
     variance: float  # of that mean by the covariance of the motion
-
-    def change(self, state: SceneState) -> tuple[float, np.ndarray]:
-        """Return the mean log of inverse depth at a state's motion over here; derivative (n,)."""
-        R, t = relative_motion(state)
-        length = max(float(np.linalg.norm(t)), 1e-9)
-        by_motion = self.slope.copy()
-        by_motion[3:] = (by_motion[3:] - t * (t @ by_motion[3:]) / length**2) / length
-        value = self.slope @ np.r_[rotation.log(R @ self.R.T), t / length - self.t]
-        by_previous, by_current = relative_motion_jacobian(state)
-        H = np.zeros(state.size)
-        H[state.at('previous')], H[state.at('current')] = (by_motion @ by_previous,
-                                                           by_motion @ by_current)
-        return float(value), H
 
 
 def depths_of(pair: two_view.Pair, motion: CameraMotion, settings: SceneSettings) -> Depths:
@@ -106,15 +88,14 @@ def begin(state: SceneState, depths: Depths, sigma: float) -> bool:
 
     Returns whether the baseline is known well enough for its logarithm to be linear.
     """
-    value, H = log_baseline(state)
-    change, by_state = depths.change(state)
-    state.depth_scale = value - change
-    at = state.at('depth_scale')
+    (_, H), at = log_baseline(state), state.at('depth_scale')
+    [off], by_state = linearised(observed(depths, sigma), state)
+    state.depth_scale += off
     if H @ state.P @ H > VAGUE**2:
         state.error.P[at], state.error.P[:, at], state.error.lasting[at] = 0, 0, 0
         return False
-    ekf.predict_rows(state.error, np.array([at.start]), (H - by_state)[None],
-                     np.eye(1) * sigma**2)
+    by_state[:, at] = 0
+    ekf.predict_rows(state.error, np.array([at.start]), -by_state, np.eye(1) * sigma**2)
     return True
 
 
