@@ -22,8 +22,8 @@ from typing import Any
 from mv_slapse.batch import scheduling, task
 from mv_slapse.batch.manifest import Recording
 from mv_slapse.batch.workers import open_pool, Workers
-from mv_slapse.codec.encoder import Encoding, write_video
 from mv_slapse.config import SceneSettings, Settings
+from mv_slapse.encoding.encoder import Encoding, write_video
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.simulation.truth import film
 from mv_slapse.storage.camera_info import read_camera, write_camera
@@ -135,7 +135,7 @@ def workers_killed(options: argparse.Namespace) -> dict[str, Any]:
     """SIGKILL of a worker at ten moments, each of another batch."""
     place, rng, bad = rendered(options.folder, 2, 90), random.Random(0), []
     names = sorted(path.name for path in (place / 'in').iterdir())
-    for moment in range(10):
+    for moment in range(options.moments):
         out = options.folder / f'worker-{moment}'
         shutil.rmtree(out, ignore_errors=True)
         process = subprocess.Popen(command(place, out, '--workers', '2'))
@@ -149,14 +149,14 @@ def workers_killed(options: argparse.Namespace) -> dict[str, Any]:
         code = process.wait()
         bad += _wrong(out, names, code, before, moment)
         shutil.rmtree(out)
-    return {'moments': 10, 'recordings': len(names), 'wrong': bad, 'holds': not bad}
+    return {'moments': options.moments, 'recordings': len(names), 'wrong': bad, 'holds': not bad}
 
 
 def calls_killed(options: argparse.Namespace) -> dict[str, Any]:
     """SIGKILL of the whole call at ten moments, and a second call."""
     place, rng, bad = rendered(options.folder, 2, 90), random.Random(1), []
     names, done_before = sorted(path.name for path in (place / 'in').iterdir()), []
-    for moment in range(10):
+    for moment in range(options.moments):
         out = options.folder / f'call-{moment}'
         shutil.rmtree(out, ignore_errors=True)
         process = subprocess.Popen(command(place, out, '--workers', '2'))
@@ -173,7 +173,7 @@ def calls_killed(options: argparse.Namespace) -> dict[str, Any]:
         code, _ = called(place, out, '--workers', '2')
         bad += half + _wrong(out, names, code, before, moment)
         shutil.rmtree(out)
-    return {'moments': 10, 'recordings': len(names), 'done_before': done_before, 'wrong': bad,
+    return {'moments': options.moments, 'recordings': len(names), 'done_before': done_before, 'wrong': bad,
             'holds': not bad}
 
 
@@ -319,6 +319,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument('proofs', nargs='*', choices=[[], *PROOFS], default=[],
                         help='default: all')
     parser.add_argument('--folder', type=Path, default=Path('out/batch'))
+    parser.add_argument('--moments', type=int, default=10, help='at which something is killed')
     parser.add_argument('--turns', type=int, default=2, help='of the measurement of speed')
     options = parser.parse_args(arguments)
     options.folder = options.folder.resolve()
