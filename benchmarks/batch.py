@@ -173,8 +173,8 @@ def calls_killed(options: argparse.Namespace) -> dict[str, Any]:
         code, _ = called(place, out, '--workers', '2')
         bad += half + _wrong(out, names, code, before, moment)
         shutil.rmtree(out)
-    return {'moments': options.moments, 'recordings': len(names), 'done_before': done_before, 'wrong': bad,
-            'holds': not bad}
+    return {'moments': options.moments, 'recordings': len(names), 'done_before': done_before,
+            'wrong': bad, 'holds': not bad}
 
 
 def _wrong(out: Path, names: list[str], code: int, before: dict[str, int], moment: int

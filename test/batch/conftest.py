@@ -38,6 +38,7 @@ def place(tmp_path_factory) -> Path:
 def like(place) -> Recording:
     """Return what holds for all recordings."""
     return Recording('', camera=str(place / 'camera.yaml'),
+                     report=False,
                      settings=Settings(scene=SceneSettings(camera_height=HEIGHT)))
 
 

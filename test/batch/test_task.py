@@ -22,13 +22,14 @@ def ran(item, output, call='call'):
 
 
 def test_the_folder_is_the_one_of_run_and_is_made_once(item, place, tmp_path):
-    item = replace(item, ground_truth=str(place / 'truth'))
+    item = replace(item, ground_truth=str(place / 'truth'), report=True)
     row = ran(item, tmp_path)
     run(item.input, read_camera(item.camera), item.settings, tmp_path / 'alone')
     out = tmp_path / item.name
     for name in FILES:
         assert (out / name).read_bytes() == (tmp_path / 'alone' / name).read_bytes(), name
     summary = json.loads((out / 'summary.json').read_text())
+    assert (out / 'report.html').exists()
     assert summary['command'].startswith(f'mv_slapse run {item.input} --camera ')
     assert (row['status'], row['exit_code'], row['frames']) == ('done', 0, 12)
     assert row['poses'] == summary['poses'] > 3
