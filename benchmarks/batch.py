@@ -22,8 +22,8 @@ from typing import Any
 from mv_slapse.batch import scheduling, task
 from mv_slapse.batch.manifest import Recording
 from mv_slapse.batch.workers import open_pool, Workers
+from mv_slapse.codec.encoding.encoder import Encoding, write_video
 from mv_slapse.config import SceneSettings, Settings
-from mv_slapse.encoding.encoder import Encoding, write_video
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.simulation.truth import film
 from mv_slapse.storage.camera_info import read_camera, write_camera

@@ -9,8 +9,8 @@ pytest.importorskip('distributed')
 from mv_slapse.batch.manifest import Recording, recordings  # noqa: E402
 from mv_slapse.batch.task import code  # noqa: E402
 from mv_slapse.batch.workers import open_pool, Workers  # noqa: E402
+from mv_slapse.codec.encoding.encoder import Encoding, write_video  # noqa: E402
 from mv_slapse.config import SceneSettings, Settings  # noqa: E402
-from mv_slapse.encoding.encoder import Encoding, write_video  # noqa: E402
 from mv_slapse.simulation.street import Street, StreetSettings  # noqa: E402
 from mv_slapse.simulation.truth import film  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
