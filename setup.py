@@ -222,7 +222,7 @@ setup(
     python_requires='>=3.11',
     # ROS brings the libraries as system packages, under names that pip does not know.
     install_requires=['setuptools'] if BY_COLCON else REQUIREMENTS,
-    extras_require={'test': ['pytest']},
+    extras_require={'batch': ['dask>=2024.8', 'distributed>=2024.8'], 'test': ['pytest']},
     entry_points={'console_scripts': SCRIPTS},
     zip_safe=False,
     distclass=Compiled,

@@ -21,7 +21,7 @@ import sys
 import gate
 from mv_slapse.tools import evaluate
 from mv_slapse.tools.cases import Case, Scene
-from mv_slapse.tools.rows import Cache, Figures, measure_all, Pool
+from mv_slapse.tools.rows import Cache, Figures, measure_all
 import rules
 from rules import Rule
 
@@ -67,8 +67,8 @@ def label(cache: Cache, rule: Rule) -> str:
 def without(rule: Rule, scenes: Sequence[Scene], cache: Cache, options: argparse.Namespace,
             choose: Callable) -> dict[str, Figures]:
     """Return the figures of the rows without a rule."""
-    pool = Pool(options.jobs, options.nice, partial(rules.switch_off, rule.name))
-    return measure_all(scenes, Cache(cache.folder, label(cache, rule), cache.only), pool,
+    workers = evaluate.workers_of(options, partial(rules.switch_off, rule.name))
+    return measure_all(scenes, Cache(cache.folder, label(cache, rule), cache.only), workers,
                        None, choose)
 
 
@@ -191,7 +191,7 @@ def main(arguments: list[str] | None = None) -> int:
     wanted = [rules.BY_NAME[name] for name in names] or rules.RULES
     cache = evaluate.cache_of(options)
     scenes, choose = chosen(evaluate.all_scenes(options), options.rows)
-    before = measure_all(scenes, cache, evaluate.pool_of(options), None, choose)
+    before = measure_all(scenes, cache, evaluate.workers_of(options), None, choose)
     known = json.loads(options.reference.read_text()) if options.reference.exists() else {}
     altered = known.get('rows', {}) | known.get('altered', {})
     verdicts = []

@@ -201,12 +201,12 @@ def shown(figure: float, measure: Measure) -> str:
 
 def _measure(options: argparse.Namespace) -> int:
     scenes, cache = evaluate.all_scenes(options), evaluate.cache_of(options)
-    pool = evaluate.pool_of(options)
+    workers = evaluate.workers_of(options)
     content = {'commit': evaluate.commit_of(Path.cwd()), 'code': cache.label,
-               'rows': measure_all(scenes, cache, pool, evaluate.tell)}
+               'rows': measure_all(scenes, cache, workers, evaluate.tell)}
     if options.noise:
         again = cases.grainy(options.data.resolve(), scenes)
-        content['altered'] = measure_all(again, cache, pool, evaluate.tell)
+        content['altered'] = measure_all(again, cache, workers, evaluate.tell)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(written(content))
     return 0

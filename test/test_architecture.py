@@ -17,7 +17,7 @@ ROS = ('rclpy', 'rcl_interfaces', 'builtin_interfaces', 'std_msgs', 'std_srvs', 
        'foxglove_msgs', 'ffmpeg_image_transport_msgs', 'mv_slapse_msgs', 'ament_index_python')
 HOME = {**dict.fromkeys(ROS, 'nodes'), 'launch': 'launch', 'launch_ros': 'launch', 'av': 'codec',
         'rosbags': 'storage', 'mcap': 'storage', 'argparse': 'tools',
-        'mv_slapse_kernels': 'kernels'}
+        'mv_slapse_kernels': 'kernels', 'dask': 'batch', 'distributed': 'batch'}
 ROOMS = ('codec', 'motion', 'surfaces', 'movers', 'extraction', 'filters', 'scene', 'obstacles')
 CORE = ('kernels', 'geometry', *ROOMS, 'pipeline')
 NOT_IN_CORE = {'time', 'datetime', 'random', 'threading', 'multiprocessing', 'logging'}
@@ -42,6 +42,7 @@ BELOW = {
     'obstacles': {*LOW, 'filters'},
     'evaluation': {*LOW, 'storage'},
     'pipeline': {*LOW, *ROOMS},
+    'batch': {*LOW, 'evaluation', 'storage', 'tools'},
     'storage': {*LOW, 'codec', 'fields', 'picture_size', 'planner_fields', 'video_messages',
                 'view_fields'},
     'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'fields', 'field_values',

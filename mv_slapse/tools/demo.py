@@ -14,7 +14,8 @@ from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.simulation.truth import film
 from mv_slapse.storage.camera_info import write_camera
 from mv_slapse.tools import eval as evaluation
-from mv_slapse.tools import page, report
+from mv_slapse.tools import report
+from mv_slapse.tools.plain import plain
 from mv_slapse.tools.progress import progress_bar
 from mv_slapse.tools.run import lost_message, Summary
 from mv_slapse.tools.run import run as run_video
@@ -50,7 +51,7 @@ def main(args: argparse.Namespace) -> int:
     with progress_bar(args.quiet or args.json) as progress:
         demo = run(Path(args.output), args.seed, args.quick, progress)
     if args.json:
-        print(json.dumps(page.plain(demo.figures)))
+        print(json.dumps(plain(demo.figures)))
     elif not args.quiet:
         print(text(demo))
     if demo.summary.is_lost:

@@ -1,7 +1,7 @@
 """``mv_slapse doctor``: is this installation able to run, and if not what to install."""
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import importlib
 import importlib.util
 import os
@@ -17,6 +17,8 @@ LIBRARIES = (('numpy', 'numpy', '1.26'), ('scipy', 'scipy', '1.11'),
              ('rosbags', 'rosbags', '0.10'), ('mcap', 'mcap', '1.0'),
              ('matplotlib', 'matplotlib', '3.6'), ('tqdm', 'tqdm', '4.0'),
              ('yaml', 'pyyaml', '6.0'))
+BATCH = "'mv_slapse[batch]'"
+EXTRAS = (('dask', BATCH, '2024.8'), ('distributed', BATCH, '2024.8'))
 SHIFT = 3  # px that the picture moves in each frame of the test clip
 RATE = 10.0  # Hz, of that clip
 GET_ROS = 'source /opt/ros/jazzy/setup.sh, or run `make setup` (x86-64)'
@@ -38,6 +40,8 @@ class Finding:
         What to do where it is not ok.
     needed : bool
         The command line cannot run without it; else only the nodes cannot.
+    extra : str
+        The one command that alone needs it; nothing else does.
     """
 
     name: str
@@ -45,6 +49,7 @@ class Finding:
     detail: str
     cure: str = ''
     needed: bool = True
+    extra: str = ''
 
 
 def examine() -> list[Finding]:
@@ -52,7 +57,8 @@ def examine() -> list[Finding]:
     libraries = [*(library(*names) for names in LIBRARIES), kernels()]
     vectors = motion_vectors() if all(item.ok for item in (*libraries[:4], libraries[-1])) \
         else Finding('motion vectors', False, 'not tried', 'install the libraries above')
-    return [python(), *libraries, vectors, *ros()]
+    extras = [replace(library(*names), needed=False, extra='mv_slapse batch') for names in EXTRAS]
+    return [python(), *libraries, vectors, *ros(), *extras]
 
 
 def exit_code(findings: list[Finding]) -> int:
@@ -63,12 +69,13 @@ def exit_code(findings: list[Finding]) -> int:
 def table(findings: list[Finding]) -> str:
     """Return the findings as text, a line for each, and a verdict."""
     width = max(len(item.name) for item in findings)
-    lines = [f'{item.name:{width}}  {"ok" if item.ok else "MISSING":7}  {item.detail}'
-             + ('' if item.ok else f'\n{"":{width}}           -> {item.cure}')
+    lines = [f'{item.name:{width}}  {"ok" if item.ok else "absent" if item.extra else "MISSING":7}'
+             f'  {item.detail}' + ('' if item.ok else f'\n{"":{width}}           -> {item.cure}'
+                                   + (f' (for {item.extra})' if item.extra else ''))
              for item in findings]
     able = {True: 'can run', False: 'can NOT run'}
     command_line = all(item.ok for item in findings if item.needed)
-    nodes = all(item.ok for item in findings)
+    nodes = all(item.ok for item in findings if not item.extra)
     return '\n'.join([*lines, '', f'command line: {able[command_line]}',
                       f'ROS nodes:    {able[nodes]}'])
 

@@ -6,15 +6,17 @@ was interrupted goes on where it ended.
 """
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 import subprocess
 import sys
 from typing import Any
 
+from mv_slapse.batch.workers import Workers
 from mv_slapse.tools import cases
 from mv_slapse.tools.altered import altered
 from mv_slapse.tools.cases import Scene
-from mv_slapse.tools.rows import Cache, Figures, measure_all, Pool, state_of_code
+from mv_slapse.tools.rows import Cache, Figures, measure_all, state_of_code
 
 DATA = Path('../shared/data')
 CACHE = Path('out/cache')
@@ -115,9 +117,10 @@ def cache_of(options: argparse.Namespace) -> Cache:
     return Cache(options.cache.resolve(), state_of_code(), options.only)
 
 
-def pool_of(options: argparse.Namespace) -> Pool:
-    """Return the processes that the options ask for."""
-    return Pool(options.jobs, options.nice)
+def workers_of(options: argparse.Namespace,
+               change: Callable[[], None] | None = None) -> Workers:
+    """Return the processes that the options ask for, each after a change of its own."""
+    return Workers(options.jobs, options.nice, change, scheduler=options.scheduler)
 
 
 def tell(name: str, figures: Figures):
@@ -136,6 +139,9 @@ def add_options(parser: argparse.ArgumentParser):
                              'there is not made again (default: %(default)s)')
     parser.add_argument('--jobs', type=int, default=0, help='processes (default: one a core)')
     parser.add_argument('--nice', type=int, default=0, help='added to their niceness')
+    parser.add_argument('--scheduler', default='', metavar='ADDRESS',
+                        help='running Dask scheduler in place of these processes; its workers see '
+                             'data and cache under the same names')
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -144,7 +150,7 @@ def main(arguments: list[str] | None = None) -> int:
     add_options(parser)
     parser.add_argument('-o', '--output', type=Path, default=Path('docs/results.md'))
     options = parser.parse_args(arguments)
-    measured = measure_all(all_scenes(options), cache_of(options), pool_of(options), tell)
+    measured = measure_all(all_scenes(options), cache_of(options), workers_of(options), tell)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(page(measured, commit_of(Path.cwd())))
     return 0

@@ -1,8 +1,8 @@
-"""The command line: ``mv_slapse run``, ``eval``, ``inspect``, ``bag``, ``demo``, ``doctor``.
+"""The command line: ``mv_slapse run``, ``batch``, ``eval``, ``inspect``, ``bag``, ``demo`` ...
 
 What a command needs is imported when it runs, so that ``doctor`` works where a library is
 missing. Exit codes: 0 done, 1 a fault of this program, 2 usage, 3 unusable input, 4 tracking lost
-for most of the input, 130 interrupted.
+for most of the input, 5 some recordings of a batch failed, 130 interrupted.
 """
 
 import argparse
@@ -14,6 +14,7 @@ import sys
 from typing import Any
 
 from mv_slapse.errors import MvSlapseError
+from mv_slapse.tools.plain import plain
 
 FAULT, LOST, INTERRUPTED = 1, 4, 130
 
@@ -46,7 +47,7 @@ def parser() -> argparse.ArgumentParser:
         'of encoded video.')
     top.add_argument('--version', action=_Version, help='print the version and exit')
     commands = top.add_subparsers(dest='command', required=True, metavar='COMMAND')
-    for add in (_add_run, _add_eval, _add_inspect, _add_bag, _add_demo, _add_doctor):
+    for add in (_add_run, _add_batch, _add_eval, _add_inspect, _add_bag, _add_demo, _add_doctor):
         command = add(commands)
         command.add_argument('--debug', action='store_true', help='show where an error arose')
     return top
@@ -88,9 +89,39 @@ def _add_run(commands: Any) -> argparse.ArgumentParser:
     command.add_argument('--overlay', metavar='MP4',
                          help='also write a video with coloured blocks and obstacles')
     command.add_argument('--no-report', action='store_true', help='leave report.html out')
-    command.add_argument('--settings', metavar='YAML', help='file of settings')
-    command.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE',
-                         help='change a setting; may be repeated')
+    _add_settings(command)
+    _add_output_style(command)
+    return command
+
+
+def _add_batch(commands: Any) -> argparse.ArgumentParser:
+    command = commands.add_parser('batch', help='run many recordings, here or on a Dask cluster')
+    command.set_defaults(function=_batch)
+    command.add_argument('input', metavar='INPUT', nargs='+',
+                         help='video, bag, folder of these, pattern, or table (CSV: input, '
+                         'camera, camera_height, speed, ground_truth, ...), a row for each run')
+    command.add_argument('--camera', metavar='YAML',
+                         help='camera_info file of all that name none; bags may bring their own')
+    command.add_argument('--camera-height', type=_height, metavar='M',
+                         help='height of the camera above the ground; makes the scale metric')
+    command.add_argument('--speed', metavar='TOPIC', help='topic of wheel odometry in the bags')
+    command.add_argument('-o', '--output', default='out', metavar='OUT',
+                         help='folder of the runs, a folder each (default: %(default)s)')
+    command.add_argument('--topic', help='video topic of bags that have several')
+    command.add_argument('--max-frames', type=_count, metavar='N',
+                         help='stop each after N pictures')
+    command.add_argument('--no-report', action='store_true',
+                         help='leave the report.html of each run out')
+    _add_settings(command)
+    command.add_argument('--sweep', action='append', default=[], metavar='SECTION.NAME=V1,V2',
+                         help='run each recording with each value; several multiply')
+    command.add_argument('--workers', type=_count, metavar='N',
+                         help='processes of this machine (default: one a core)')
+    command.add_argument('--memory-limit', metavar='SIZE',
+                         help='of each process, such as 2GiB (default: an equal share)')
+    command.add_argument('--scheduler', metavar='ADDRESS',
+                         help='running Dask scheduler, such as tcp://host:8786, in place of '
+                         'processes of this machine')
     _add_output_style(command)
     return command
 
@@ -158,6 +189,12 @@ def _add_doctor(commands: Any) -> argparse.ArgumentParser:
     return command
 
 
+def _add_settings(command: argparse.ArgumentParser):
+    command.add_argument('--settings', metavar='YAML', help='file of settings')
+    command.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE',
+                         help='change a setting; may be repeated')
+
+
 def _add_output_style(command: argparse.ArgumentParser):
     command.add_argument('--quiet', action='store_true', help='print nothing but errors')
     command.add_argument('--json', action='store_true', help='print one JSON object')
@@ -190,6 +227,11 @@ def _run(args: argparse.Namespace) -> int:
         sys.stderr.write(f'mv_slapse: {run.lost_message(summary)}\n')
         return LOST
     return 0
+
+
+def _batch(args: argparse.Namespace) -> int:
+    from mv_slapse.tools import batch
+    return batch.main(args, _settings(args))
 
 
 def _eval(args: argparse.Namespace) -> int:
@@ -247,20 +289,9 @@ def _settings(args: argparse.Namespace) -> Any:
 
 def _print(args: argparse.Namespace, content: dict[str, Any], text: str):
     if args.json:
-        print(json.dumps(_plain(content)))
+        print(json.dumps(plain(content)))
     elif not getattr(args, 'quiet', False):
         print(text)
-
-
-def _plain(value: Any) -> Any:
-    """Return a value without what JSON has no word for: infinite and undefined numbers."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not abs(value) < float('inf'):
-        return None
-    return value.item() if hasattr(value, 'item') else value
 
 
 def _fail(args: argparse.Namespace, message: str, code: int) -> int:

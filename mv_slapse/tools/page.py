@@ -8,7 +8,7 @@ import json
 from typing import Any
 
 from matplotlib.figure import Figure
-import numpy as np
+from mv_slapse.tools.plain import plain
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem;
@@ -53,13 +53,3 @@ def png(figure: Figure) -> bytes:
 def listing(content: Mapping[str, Any]) -> str:
     """Return content as indented JSON."""
     return f'<pre>{escape(json.dumps(plain(content), indent=1))}</pre>'
-
-
-def plain(value: Any) -> Any:
-    """Return a value as JSON has words for it: no numpy types, no infinite numbers."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    value = value.item() if hasattr(value, 'item') else value
-    return None if isinstance(value, float) and not np.isfinite(value) else value

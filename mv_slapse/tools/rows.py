@@ -1,4 +1,4 @@
-"""Rows of the evaluation, measured on all cores; nothing is made or measured twice.
+"""Rows of the evaluation, measured by many workers; nothing is made or measured twice.
 
 A cache folder holds the videos that were rendered or encoded, the correspondences that were
 decoded, and the figures of each row. Videos and correspondences are found again as long as the
@@ -8,12 +8,10 @@ code that made them says the same, so that another commit of the core need not m
 import ast
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass, fields
 from functools import cache as remembered
 from hashlib import sha256
 import json
-from multiprocessing import get_context
 import os
 from pathlib import Path
 import pickle
@@ -21,12 +19,13 @@ import re
 import tempfile
 from typing import Any
 
+from mv_slapse.batch.workers import open_pool, Workers
 from mv_slapse.config import SceneSettings, Settings
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.records import Correspondences
 from mv_slapse.tools.cases import Case, Scene
 from mv_slapse.tools.eval import evaluate
-from mv_slapse.tools.page import plain
+from mv_slapse.tools.plain import plain
 from mv_slapse.tools.run import decode, Decoded, replay
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -34,9 +33,8 @@ PACKAGE = Path(__file__).resolve().parents[1]
 OF_PICTURES = ('simulation', 'codec/encoding/encoder.py')
 OF_VECTORS = ('codec', 'geometry/blocks.py', 'geometry/camera.py', 'geometry/rotation.py')
 KERNELS = 'kernels'  # counted among them where the codec calls them
-NOT_MEASURED = ('nodes', 'launch', 'tools')  # what no figure depends on, but for
+NOT_MEASURED = ('nodes', 'launch', 'tools', 'batch')  # what no figure depends on, but for
 TOOLS = tuple(f'tools/{name}.py' for name in ('cases', 'altered', 'eval', 'run'))
-THREADS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 DIGITS = 6  # of the figures that are kept
 
 Figures = dict[str, Any]
@@ -81,64 +79,43 @@ class Cache:
         return self.folder / 'figures' / self.label / (_slug(name, name) + '.json')
 
 
-@dataclass(frozen=True)
-class Pool:
-    """How rows are measured: in so many processes, each after a change of its own.
-
-    Attributes
-    ----------
-    jobs : int
-    nice : int
-        Added to the processes' niceness.
-    change : function without arguments, or None
-        Called once in each process before it measures; it can be pickled.
-    """
-
-    jobs: int = 0
-    nice: int = 0
-    change: Callable[[], None] | None = None
-
-    def executor(self) -> ProcessPoolExecutor:
-        """Return the processes, one thread each."""
-        os.environ.update(dict.fromkeys(THREADS, '1'))  # read when a new process loads numpy
-        return ProcessPoolExecutor(self.jobs or os.cpu_count(), get_context('spawn'), _start,
-                                   (self.nice, self.change))
-
-
-def measure_all(scenes: Sequence[Scene], cache: Cache, pool: Pool,
+def measure_all(scenes: Sequence[Scene], cache: Cache, workers: Workers,
                 tell: Callable[[str, Figures], None] | None = None,
                 choose: Callable[[Scene, list[Case]], list[Case]] = lambda scene, cases: cases
                 ) -> dict[str, Figures]:
     """Return the figures of each row by its name, in the order of the scenes.
 
     Rows whose figures the cache has are not measured again. ``tell`` is called with each row as it
-    is done; ``choose`` returns which of a scene's rows are measured.
+    is done; ``choose`` returns which of a scene's rows are measured. Workers of other machines
+    need the cache folder under the same name.
     """
     names: dict[str, list[str]] = {}
     found: dict[str, Figures] = {}
-    left, running = deque(scenes), {}
-    with pool.executor() as executor:
+    left = deque(scenes)
+    with open_pool(workers) as pool:
         def prepare_next():
             """Make the cases of one more scene; their rows come before those of the next."""
             if left:
                 scene = left.popleft()
-                running[executor.submit(cache.cases, scene)] = scene
+                pool.submit(scene, cache.cases, scene)
 
-        for _ in range(pool.jobs or os.cpu_count()):
+        # Workers of others may still be on their way.
+        for _ in range(max(pool.threads, os.cpu_count() or 1)):
             prepare_next()
-        while running:
-            for done in wait(running, return_when=FIRST_COMPLETED).done:
-                scene = running.pop(done)
-                if scene is not None:
-                    cases = choose(scene, done.result())
-                    names[scene.name] = [case.name for case in cases]
-                    running |= {executor.submit(measured, case, cache): None for case in cases}
-                    prepare_next()
-                    continue
-                name, figures = done.result()
-                found[name] = figures
-                if tell:
-                    tell(name, figures)
+        for scene, result in pool.results():
+            if isinstance(result, Exception):
+                raise result
+            if scene is not None:
+                cases = choose(scene, result)
+                names[scene.name] = [case.name for case in cases]
+                for case in cases:
+                    pool.submit(None, measured, case, cache, priority=1)
+                prepare_next()
+                continue
+            name, figures = result
+            found[name] = figures
+            if tell:
+                tell(name, figures)
     return {name: found[name] for scene in scenes for name in names[scene.name]}
 
 
@@ -181,14 +158,6 @@ def state_of_code() -> str:
     """Return a name of the code that figures depend on, comments and docstrings apart."""
     return _said(tuple(path.name for path in sorted(PACKAGE.iterdir())
                        if path.name not in NOT_MEASURED) + TOOLS)[:12]
-
-
-def _start(nice: int, change: Callable[[], None] | None):
-    import cv2
-    os.nice(nice)
-    cv2.setNumThreads(1)
-    if change:
-        change()
 
 
 def _write(file: Path, content: bytes):

@@ -8,8 +8,9 @@ from mv_slapse.evaluation.truth import LabelTable, read_truth
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.simulation.truth import film
 from mv_slapse.storage.tum import Trajectory
-from mv_slapse.tools import demo, figures, page, report
+from mv_slapse.tools import demo, figures, report
 from mv_slapse.tools.eval import Results
+from mv_slapse.tools.plain import plain
 import numpy as np
 import pytest
 
@@ -98,7 +99,7 @@ def test_a_figure_that_is_missing_or_undefined_is_a_dash():
 
 def test_plain_values_are_json():
     value = {'a': np.float64(1.5), 2: (np.inf, np.int32(3)), 'b': [np.nan, 'x', None]}
-    assert page.plain(value) == {'a': 1.5, '2': [None, 3], 'b': [None, 'x', None]}
+    assert plain(value) == {'a': 1.5, '2': [None, 3], 'b': [None, 'x', None]}
 
 
 def test_plane_errors_are_those_that_were_made(truth):

@@ -69,3 +69,16 @@ def test_the_table_names_what_is_missing_and_what_cannot_run():
     assert lines[2].split() == ['->', 'source', 'it']
     assert lines[-2].endswith('command line: can run')
     assert lines[-1].endswith('can NOT run')
+
+
+def test_without_dask_all_but_batch_runs(monkeypatch):
+    monkeypatch.setattr(doctor, 'EXTRAS', (('no_such_dask', "'mv_slapse[batch]'", '1.0'),))
+    monkeypatch.setattr(doctor, 'LIBRARIES', doctor.LIBRARIES[:4])
+    monkeypatch.setattr(doctor, 'ros', lambda: [])
+    monkeypatch.setattr(doctor, 'motion_vectors', lambda: GOOD)
+    findings = doctor.examine()
+    assert doctor.exit_code(findings) == 0
+    table = doctor.table(findings)
+    assert 'no_such_dask' in table
+    assert "pip install 'mv_slapse[batch]', or run `make setup` (for mv_slapse batch)" in table
+    assert 'NOT' not in table

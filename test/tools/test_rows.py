@@ -3,6 +3,7 @@
 from functools import partial
 import json
 
+from mv_slapse.batch.workers import Workers
 from mv_slapse.config import Settings
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.tools import cases, rows
@@ -33,7 +34,7 @@ def cache(tmp_path_factory):
 @pytest.fixture(scope='module')
 def measured(scenes, cache):
     told = []
-    found = rows.measure_all(scenes, cache, rows.Pool(1), lambda *row: told.append(row))
+    found = rows.measure_all(scenes, cache, Workers(1), lambda *row: told.append(row))
     assert told == list(found.items())
     return found
 
@@ -67,8 +68,9 @@ def test_other_code_is_measured_again(cache, measured):
 
 def test_a_change_is_made_in_each_process(scenes, cache, measured):
     changed = rows.Cache(cache.folder, 'changed', 'mpeg2')
-    pool = rows.Pool(1, change=partial(exec, REFUSE, {}))
-    assert rows.measure_all(scenes, changed, pool) == {'street 0/mpeg2.mpg': {'error': 'changed'}}
+    workers = Workers(1, change=partial(exec, REFUSE, {}))
+    found = rows.measure_all(scenes, changed, workers)
+    assert found == {'street 0/mpeg2.mpg': {'error': 'changed'}}
 
 
 def test_comments_and_docstrings_change_nothing(tmp_path, monkeypatch):

@@ -1,0 +1,1 @@
+"""The same work over many recordings, on the workers of a Dask cluster."""

@@ -1,0 +1,76 @@
+"""Whom the work is given to, and what is said where nobody can take it."""
+
+import importlib.util
+import os
+
+from mv_slapse.batch import workers
+from mv_slapse.batch.workers import MissingDask, open_pool, UnusableCluster, Workers
+from mv_slapse.errors import UsageError
+import pytest
+
+
+def test_a_missing_dask_is_told_with_its_cure(monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(workers.importlib.util, 'find_spec',
+                        lambda name: None if name == 'distributed' else find(name))
+    with pytest.raises(MissingDask, match=r"distributed is not installed.*mv_slapse\[batch\]"), \
+            open_pool(Workers(1)):
+        pass
+
+
+@pytest.mark.parametrize(('limit', 'told'), [('much', 'no size'), ('10MiB', 'too little')])
+def test_a_memory_limit_that_cannot_be_is_refused(limit, told):
+    with pytest.raises(UsageError, match=told), open_pool(Workers(1, memory_limit=limit)):
+        pass
+
+
+def test_a_scheduler_that_does_not_answer_is_told(monkeypatch):
+    monkeypatch.setattr(workers, 'CONNECT', 0.5)
+    with pytest.raises(UnusableCluster, match='no Dask scheduler answers at tcp://127.0.0.1:9'), \
+            open_pool(Workers(scheduler='tcp://127.0.0.1:9')):
+        pass
+
+
+def test_a_task_has_one_thread(pool):
+    def threads():
+        """Return how many threads libraries would use."""
+        import cv2
+        return cv2.getNumThreads(), os.environ['OPENBLAS_NUM_THREADS'], os.getpid()
+
+    pool.submit('here', threads)
+    [(tag, (of_opencv, of_blas, process))] = pool.results()
+    assert (tag, of_opencv, of_blas) == ('here', 1, '1')
+    assert process != os.getpid()
+
+
+def test_workers_of_others_are_changed_and_come_back_as_they_were():
+    from distributed import LocalCluster
+
+    def mark():
+        """Leave a mark in the process."""
+        os.environ['MV_SLAPSE_MARK'] = 'changed'
+
+    def marked():
+        """Return the mark."""
+        return os.environ.get('MV_SLAPSE_MARK'), workers.worker_address()
+
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        address = cluster.scheduler_address
+        for change, mark_of_it in ((mark, 'changed'), (None, None)):
+            with open_pool(Workers(scheduler=address, change=change)) as pool:
+                pool.submit(0, marked)
+                [(_, (found, worker))] = pool.results()
+                assert found == mark_of_it
+                assert worker
+        cluster.scale(0)
+    with pytest.raises(UnusableCluster):
+        open_pool(Workers(scheduler=address)).__enter__()
+
+
+def test_a_worker_of_several_threads_is_refused():
+    from distributed import LocalCluster
+    with LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=None, processes=False,
+                      protocol='tcp') as cluster, \
+            pytest.raises(UnusableCluster, match='--nthreads 1'), \
+            open_pool(Workers(scheduler=cluster.scheduler_address)):
+        pass

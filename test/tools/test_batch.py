@@ -1,0 +1,170 @@
+"""``mv_slapse batch`` as a user calls it, on processes of its own and on somebody's scheduler."""
+
+import csv
+import importlib.util
+import json
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+from mv_slapse.batch import page
+from mv_slapse.tools import main as command_line
+import pytest
+
+pytest.importorskip('distributed')
+
+
+@pytest.fixture
+def call(capsys):
+    """Run the command line; return exit code, standard output and error."""
+    def called(*arguments):
+        code = command_line.main([str(argument) for argument in arguments])
+        return code, *capsys.readouterr()
+
+    return called
+
+
+@pytest.fixture
+def table(clip, tmp_path):
+    """Return a table of three runs of a clip, the second of which is broken."""
+    shutil.copy(clip.video, tmp_path / 'a.mpg')
+    (tmp_path / 'b.mp4').write_text('no video')
+    path = tmp_path / 'fleet.csv'
+    path.write_text('input,camera,camera_height,ground_truth,max_frames,name\n'
+                    f'a.mpg,{clip.camera},1.65,{clip.truth},,all\n'
+                    f'b.mp4,{clip.camera},,,,broken\n'
+                    f'a.mpg,{clip.camera},,,9,short <i>\n')
+    return path
+
+
+def rows(out):
+    with (out / 'batch.csv').open(newline='') as file:
+        return {row['name']: row for row in csv.DictReader(file)}
+
+
+def test_a_table_is_run_once_and_told(call, table, tmp_path, monkeypatch):
+    out = tmp_path / 'out'
+    code, text, err = call('batch', table, '-o', out, '--workers', 1)
+    assert (code, err) == (5, '')
+    assert '3 recordings: 2 done, 1 failed' in text
+    assert 'broken: failed (exit code 3): ' in text
+    found = rows(out)
+    assert list(found) == ['all', 'broken', 'short-i']
+    assert [row['exit_code'] for row in found.values()] == ['0', '3', '0']
+    assert 0 < float(found['all']['epsilon_d_percent']) < 5
+    assert found['all']['scale_source'] == 'camera height'
+    assert found['short-i']['frames'] == '9'
+    assert 'cannot be opened' in found['broken']['reason']
+    text = (out / page.PAGE).read_text()
+    assert text.count('<tr class="done">') == 2
+    assert text.count('<img ') == len([*page.SHOWN]) + 2
+    assert '://' not in text.replace(found['all']['worker'], '').replace(
+        found['broken']['worker'], '')
+    (tmp_path / 'b.mp4').unlink()
+    shutil.copy(tmp_path / 'a.mpg', tmp_path / 'b.mp4')
+    before = {name: (out / name / 'row.json').stat().st_mtime_ns for name in ('all', 'short-i')}
+    code, text, err = call('batch', table, '-o', out, '--workers', 2, '--json')
+    assert (code, err) == (0, '')
+    content = json.loads(text)
+    assert [row['status'] for row in content['rows']] == ['done'] * 3
+    assert before == {name: (out / name / 'row.json').stat().st_mtime_ns for name in before}
+    monkeypatch.setattr('mv_slapse.tools.batch.open_pool', None)  # there is nothing left to run
+    assert call('batch', table, '-o', out, '--quiet') == (0, '', '')
+
+
+def test_without_dask_it_says_what_to_install(call, clip, tmp_path, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, 'find_spec',
+                        lambda name, *more: None if name == 'dask' else find(name, *more))
+    code, _, err = call('batch', clip.video, '-o', tmp_path / 'out')
+    assert code == 3
+    assert "dask is not installed, which shares the work out; install it with: pip install " \
+        "'mv_slapse[batch]'" in err
+    assert not (tmp_path / 'out').exists()
+
+
+@pytest.fixture
+def scheduler(tmp_path):
+    """Start a scheduler and a worker by hand; return its address and process."""
+    file = tmp_path / 'scheduler.json'
+    commands = (['scheduler', '--port', '0', '--no-dashboard', '--scheduler-file', file],
+                ['worker', '--nthreads', '1', '--no-dashboard', '--scheduler-file', file])
+    processes = [subprocess.Popen([sys.executable, '-m', 'dask', *command, '--host', '127.0.0.1'],
+                                  stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+                 for command in commands]
+    end = time.monotonic() + 60
+    while not file.exists():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    yield json.loads(file.read_text())['address'], processes[0]
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+def test_a_scheduler_of_somebody_does_the_same_until_it_is_lost(call, table, clip, scheduler,
+                                                               tmp_path, monkeypatch):
+    address, process = scheduler
+    out = tmp_path / 'out'
+    code, text, err = call('batch', table, '-o', out, '--scheduler', address,
+                          '--no-report')
+    assert (code, err) == (5, '')
+    for name in ('trajectory.tum', 'planes.csv', 'obstacles.csv', 'labels.npz'):
+        assert (out / 'all' / name).read_bytes() == (clip.out / name).read_bytes()
+    run_all = _lost_after_one(process)
+    monkeypatch.setattr('mv_slapse.tools.batch.scheduling.run_all', run_all)
+    code, text, err = call('batch', table, '-o', tmp_path / 'lost', '--scheduler', address,
+                          '--no-report')
+    assert code == 3
+    assert 'is lost; what was done is whole, and the same call goes on' in err
+    statuses = [row['status'] for row in rows(tmp_path / 'lost').values()]
+    assert 'not run' in statuses
+    whole = [path for path in (tmp_path / 'lost').iterdir()
+             if path.is_dir() and path.suffix != '.part']
+    assert whole
+    assert all((path / 'row.json').exists() for path in whole)
+
+
+def _lost_after_one(process):
+    """Return ``run_all``, during which the scheduler ends after the first row."""
+    from mv_slapse.batch import scheduling
+    given = scheduling.run_all
+
+    def run_all(items, output, pool):
+        found = given(items, output, pool)
+        yield next(found)
+        process.kill()
+        process.wait()
+        yield from found
+
+    return run_all
+
+
+def test_what_is_interrupted_goes_on(table, tmp_path):
+    out = tmp_path / 'out'
+    command = [sys.executable, '-m', 'mv_slapse', 'batch', str(table), '-o', str(out),
+               '--workers', '1', '--no-report',
+               '--sweep', 'extraction.seed=' + ','.join(map(str, range(20)))]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+                               text=True, env={**os.environ, 'PYTHONPATH': os.pathsep.join(
+                                   [str(Path(__file__).resolve().parents[2]),
+                                    os.environ.get('PYTHONPATH', '')])})
+    end = time.monotonic() + 120
+    while not list(out.glob('all,seed=*[0-9]/row.json')):
+        assert process.poll() is None
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    err = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, err
+    assert 'interrupted; what is done is whole' in err
+    found = rows(out)
+    assert len(found) == 60
+    done = {name for name, row in found.items() if row['status'] == 'done'}
+    assert done
+    assert done <= {path.parent.name for path in out.glob('*/summary.json')}
+    assert sum(row['status'] == 'not run' for row in found.values()) > 5
