@@ -20,7 +20,7 @@ def test_truth_values_are_written_as_in_yaml():
 
 @pytest.mark.parametrize(('text', 'message'), [
     ('scene.camera_height', 'section.name=value'),
-    ('camera.height=1', 'no setting camera.height; sections are decoder'),
+    ('camera.height=1', 'no setting camera.height; sections are encoder'),
     ('scene.hight=1', 'no setting scene.hight; scene has camera_height'),
     ('scene.camera_height=tall', "takes a float, not 'tall'"),
     ('extraction.min_macroblocks=2.5', 'takes a int, not 2.5'),
