@@ -363,7 +363,9 @@ class SceneFilter:
         motion = extraction.motion
         self._dependence = self._dependence.seen(pair, motion.R_cur_from_prev,
                                                  motion.t_cur_from_prev)
-        return replace(self._settings, dependence=self._dependence.value)
+        leaning = self._settings.mover_bias * np.mean(extraction.label == Label.MOVING)
+        return replace(self._settings, dependence=self._dependence.value,
+                       vector_bias=float(np.hypot(self._settings.vector_bias, leaning)))
 
     def _gauge(self, baseline: float, first: bool, way: Way | None,
                told: bool) -> list[Observation]:

@@ -9,9 +9,11 @@ from mv_slapse.config import SceneSettings
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import Label, PlaneObservation
 from mv_slapse.scene import state as scene_state
+from mv_slapse.scene.filter import SceneFilter
 from mv_slapse.scene.noise import Dependence, HeightWander, measured
 import numpy as np
 import pytest
+from scene_drive import Canyon, METRIC
 from scipy import ndimage
 
 
@@ -86,3 +88,17 @@ def test_without_a_known_height_nothing_wanders(rng):
     wander = HeightWander()
     state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
     assert wander.seen(state, made_up.extraction(rng), SceneSettings()) is wander
+
+
+@pytest.mark.parametrize('share', [0.0, 0.2])
+def test_vectors_around_movers_lean_so_that_a_turn_adds_up(share):
+    """As much in each pair: the roll is as unsure as so many pairs make it, not their root."""
+    filter_, n = SceneFilter(METRIC), 20
+    for k in range(1, n + 1):
+        seen = Canyon().extraction(k)
+        rows = np.arange(len(seen.label)) % 10 < 10 * share
+        estimate = filter_.step(replace(
+            seen, label=np.where(rows, Label.MOVING, seen.label).astype(np.int8),
+            plane_id=np.where(rows, -1, seen.plane_id).astype(np.int32)))[0]
+    leaning = n * np.hypot(METRIC.vector_bias, METRIC.mover_bias * share) / seen.K[0, 0]
+    assert leaning < np.sqrt(estimate.pose_covariance[5, 5]) < leaning + 0.004
