@@ -16,8 +16,8 @@ import tempfile
 import time
 
 from ffmpeg_image_transport_msgs.msg import FFMPEGPacket
+from mv_slapse.codec.encoding.encoder import LOW_LATENCY, write_video
 from mv_slapse.config import SceneSettings, Settings
-from mv_slapse.encoding.encoder import LOW_LATENCY, write_video
 from mv_slapse.fields import stamp_from_message
 from mv_slapse.simulation.render import Renderer
 from mv_slapse.simulation.street import Street, StreetSettings
