@@ -91,7 +91,7 @@ def odometry_of(x, stamp):
 
 
 def map_of(tracking=OK):
-    return SimpleNamespace(tracking=tracking, reason='', scale_status=1, scale_source='',
+    return SimpleNamespace(tracking=tracking, reason='', scale_status=1, scale_source='', resets=0,
                            planes=[])
 
 

@@ -88,9 +88,9 @@ PLANTED = tuple((f'mv_slapse/{path}', old, new, tests) for path, old, new, tests
     ('storage/bounded.py', 'if size > LARGEST:', 'if False:', BAGS),
     ('storage/tum.py', 'if not abs(seconds) <= LAST_SECOND:', 'if False:', TUM),
     ('storage/tum.py', 'q = -q if q[3] < 0 else q', 'q = q', TUM),
-    ('obstacles/motion_model.py', 'SLOPE_NOISE**2 * dt *', 'SLOPE_NOISE**2 * dt**2 *', OBSTACLE),
-    ('obstacles/motion_model.py', 'dt**3 / 3', 'dt**3 / 2', OBSTACLE),
-    ('obstacles/motion_model.py', 'R @ step.before_covariance @ R.T', 'step.before_covariance',
+    ('obstacles/motion_model.py', 'return -to_cartesian', 'return to_cartesian', OBSTACLE),
+    ('obstacles/motion_model.py', 'MANOEUVRE_TIME, SLOPE_NOISE)', 'SLOPE_NOISE, MANOEUVRE_TIME)',
      OBSTACLE),
+    ('obstacles/motion_model.py', 'scene_covariance, nearer)', 'scene_covariance, 0.0)', OBSTACLE),
     ('geometry/epipolar.py', 'return y / y[:, 2:]', 'return y', GEOMETRY),
 ))
