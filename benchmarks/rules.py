@@ -172,9 +172,9 @@ def _no_departure(past, extraction, *_args):
 
 def _keep_evidence(old):
     """Return a refinement after which blocks are not judged again."""
-    def refined(self, pair, found, prior):
+    def refined(self, pair, found, *rest):
         """Refine, and keep what was judged before."""
-        return replace(old(self, pair, found, prior), evidence=found.evidence)
+        return replace(old(self, pair, found, *rest), evidence=found.evidence)
 
     return refined
 
@@ -331,6 +331,8 @@ RULES = (
     # Surfaces.
     Rule('depths of earlier pairs', 'inverse depths are carried from pair to pair for planes',
          {SURFACES + 'depth_grid:joined': FIRST}),
+    Rule('motion against the map', 'a pair is fitted to the depths of all before',
+         {SURFACES + 'block_map:BlockMap.moving': gives(lambda *_: None)}),
     Rule('mounting learned', 'the ground\'s normal is learned from the courses',
          {SURFACES + 'ground:Mount.learned': ITSELF}),
     Rule('height informs the ground', 'the ground is looked for at the height of many pairs',

@@ -258,7 +258,7 @@ class SceneSettings(MountSettings):
         0.006, '-', 'common error of the depths of one pair, as a share: 0.5 % was measured',
         1e-4, 1.0)
     ratio_drift: float = setting(
-        0.002, '-', 'least random walk of the scale from pair to pair', 1e-5, 1.0)
+        0.004, '-', 'random walk of the scale of the block map from pair to pair', 1e-5, 1.0)
     gate: float = setting(
         16.3, '-', 'largest squared Mahalanobis distance of a plane observation, 99.9 % of '
         'chi-square with 3 degrees of freedom', 1.0)

@@ -228,7 +228,7 @@ class Extraction:
         Label and plane of each 16x16 macroblock of the picture, row by row, -1 for none. What a
         mover covers is its own, also without a vector.
     baseline_ratio, baseline_ratio_sigma : float
-        log(|t| / |t| of the pair before) from shared depths; its standard deviation, inf: unknown.
+        log(|t| / |t| of the last pair with a baseline) by the map; standard deviation, inf: none.
     """
 
     stamp: int

@@ -10,7 +10,6 @@ from mv_slapse.geometry.epipolar import derotate
 from mv_slapse.geometry.rotation import skew
 from mv_slapse.geometry.two_view import columns
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.motion.baseline import BaselineRatio, POLICY
 from mv_slapse.movers.moving_plane import (
     fit_surfaces,
     MIN_BLOCKS,
@@ -178,15 +177,6 @@ def normal_equations(pair, R, t, planes, index, relief: float, width: float, *,
         *columns(pair, R, t), np.ascontiguousarray(index, np.int64),
         np.ascontiguousarray(planes, float).reshape(-1, 3),
         np.array([relief, width, *dependence, bias, offset], float))
-
-
-def robust_mean(value: np.ndarray, sigma: np.ndarray, expected: float = 0.0) -> BaselineRatio:
-    """Return the mode of values with errors sigma, refined; far values count nothing.
-
-    Of two modes the one nearer to ``expected`` may be the smaller: vectors to another reference
-    picture than was meant make a mode of their own.
-    """
-    return BaselineRatio(*compiled.robust_mean(value, sigma, POLICY, expected))
 
 
 def behind(pair, R, t) -> float:

@@ -11,7 +11,6 @@ from mv_slapse.extraction.state import Memory
 from mv_slapse.geometry import epipolar, rotation, two_view
 from mv_slapse.geometry.camera import Camera, undistort
 from mv_slapse.motion import (
-    baseline,
     estimate,
     planar_ambiguity,
     status,
@@ -30,6 +29,7 @@ from mv_slapse.records import (
     MotionStatus,
 )
 from mv_slapse.surfaces import depth_grid, ground, joint, plane_search
+from mv_slapse.surfaces.block_map import BaselineRatio, BlockMap
 from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride
 from mv_slapse.surfaces.plane_search import PlaneFit
 from mv_slapse.surfaces.plane_track import KnownPlanes
@@ -84,7 +84,7 @@ class PlaneExtractor:
         settings, rows = self._settings, np.flatnonzero(~lone)
         reason = reason or status.too_few(len(rows))
         if reason:
-            return replace(status.only(whole, rows), reason=reason), rows
+            return self._unknown(status.only(whole, rows), reason), rows
         pair = status.pair(whole)
         supported = pair[rows]
         if status.stands_still(supported, whole, rows, settings.standstill_share):
@@ -94,11 +94,14 @@ class PlaneExtractor:
         pair = replace(pair, sigma=noise * pair.sigma)
         seen = self._observed(pair, fit)
         if seen.epipolar_inlier[rows].mean() < settings.min_inliers:
-            return replace(status.only(whole, rows), reason=status.disagreement(seen[rows])), rows
-        turned = self._turned(whole, seen, rows, fit.R_cur_from_prev)
+            return self._unknown(status.only(whole, rows), status.disagreement(seen[rows])), rows
+        known = self._map(whole).known(pair, (whole.width, whole.height))
+        turned = self._turned(status.only(whole, rows), seen[rows], known[rows], fit)
         if turned is not None:
             return turned, rows
-        ratio = self._ratio(whole, seen, ~lone, fit)
+        fit, length, ratio = self._map(whole).measured(pair[rows][free], known[rows][free], fit,
+                                                       whole.stamp)
+        seen = self._observed(pair, fit)
         floor, road = self._survey(whole, seen, lone, fit, ratio)
         free = status.spread(free, rows, len(whole.x_cur))
         rows = np.flatnonzero(~lone | road)
@@ -109,7 +112,27 @@ class PlaneExtractor:
         found = self._moving(blank, pair, self._named(found), floor, ratio)
         found = self._refined(pair, found, floor)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
-        return self._finished(blank, pair, found, noise, floor), rows
+        shown = self._finished(blank, pair, found, noise, floor)
+        self._remember_map(shown, found, known[rows], length)
+        return shown, rows
+
+    def _map(self, whole: Extraction) -> BlockMap:
+        """Return the map in the earlier camera of a pair."""
+        return self._memory.map.at(whole.previous_stamp)
+
+    def _unknown(self, whole: Extraction, reason: str) -> Extraction:
+        """Return a pair whose motion is unknown; the map goes on as before."""
+        self._memory = replace(self._memory, map=self._map(whole).coasted(
+            whole.stamp, whole.K, (whole.width, whole.height)))
+        return replace(whole, reason=reason)
+
+    def _remember_map(self, shown: Extraction, found: Found, known: np.ndarray, length: float):
+        """Correct the map by the blocks (N,) that stand still."""
+        motion, still = shown.motion, (shown.label != Label.MOVING) & ~found.doubtful
+        carried = self._map(shown).moved(
+            shown.stamp, (motion.R_cur_from_prev, length * motion.t_cur_from_prev),
+            found.evidence.pair[still], known[still], (shown.width, shown.height))
+        self._memory = replace(self._memory, map=replace(carried, length=length))
 
     def _blank(self, correspondences: Correspondences, camera: Camera) -> Extraction:
         """Return an extraction that knows nothing yet but undistorted pixels.
@@ -129,7 +152,8 @@ class PlaneExtractor:
     def _standing(self, blank: Extraction) -> Extraction:
         """Label a key frame pair of a camera that stands still."""
         still = np.linalg.norm(blank.x_cur - blank.x_prev, axis=1) < 0.5
-        self._memory = replace(self._memory, stamp=blank.stamp, previous_stamp=None, movers=None)
+        self._memory = replace(self._memory, stamp=blank.stamp, previous_stamp=None, movers=None,
+                               map=self._map(blank).rested(blank.stamp))
         motion = CameraMotion(MotionStatus.STANDSTILL,
                               covariance=np.diag([1e-8] * 3 + [0.0] * 3))
         return self._without_baseline(blank, motion, still)
@@ -140,20 +164,24 @@ class PlaneExtractor:
         return block_observations.observe(pair, fit, settings.epsilon_f, settings.epsilon_m,
                                           settings.relief)
 
-    def _turned(self, whole: Extraction, seen: BlockObservations, rows: np.ndarray,
-                R: np.ndarray) -> Extraction | None:
+    def _turned(self, whole: Extraction, seen: BlockObservations, known: np.ndarray,
+                fit: MotionFit) -> Extraction | None:
         """Label the supported rows of a camera that turns on the spot; None where it moves."""
         settings = self._settings
-        parallax = seen.parallax[rows][seen.epipolar_inlier[rows]]
+        parallax = seen.parallax[seen.epipolar_inlier]
         if not block_observations.may_turn(parallax, settings.epsilon_m):
             return None
-        pair = seen.pair[rows]
-        R, covariance, off = estimate.turn(pair, R)
+        pair = seen.pair
+        R, covariance, off = estimate.turn(pair, fit.R_cur_from_prev)
         if not block_observations.turns_only(off * pair.sigma, settings.epsilon_m):
             return None
-        self._memory = self._memory.turned(whole.stamp, R)
+        carried = self._map(whole)
+        way = carried.turning(pair, known, R)
+        self._memory = replace(self._memory.turned(whole.stamp, R), map=carried.moved(
+            whole.stamp, (way.R, way.t) if way else (R, np.zeros(3)), pair, known,
+            (whole.width, whole.height)))
         motion = CameraMotion(MotionStatus.ROTATION_ONLY, R, covariance=covariance)
-        blank = replace(status.only(whole, rows), sigma=pair.sigma.astype(np.float32))
+        blank = replace(whole, sigma=pair.sigma.astype(np.float32))
         return self._without_baseline(blank, motion, off < settings.epsilon_f)
 
     def _without_baseline(self, blank: Extraction, motion: CameraMotion, still) -> Extraction:
@@ -198,7 +226,7 @@ class PlaneExtractor:
         free = possibly_dynamic.without(held)
         fit = self._motion(pair[free])
         if follows and memory.ground.plane is not None:
-            prior = self._ground_prior(whole, fit, baseline.BaselineRatio())
+            prior = self._ground_prior(whole, fit, BaselineRatio())
             free = possibly_dynamic.without(held | self._below(pair, fit, prior))
             if np.mean(free) < MANY_MOVERS:
                 fit = refined_from(pair[free], fit.R_cur_from_prev, fit.t_cur_from_prev)
@@ -283,15 +311,6 @@ class PlaneExtractor:
             unsure |= possibly_dynamic.below(pair.rays_cur, evidence.rho, evidence.blur, seen)
         return replace(found, planes=planes, moving=shown, doubtful=unsure)
 
-    def _ratio(self, blank, seen: BlockObservations, usable, fit) -> baseline.BaselineRatio:
-        """Compare this pair's baseline, by its usable blocks (N,) bool, with the last one's."""
-        memory = self._memory
-        if memory.depths is None or memory.stamp != blank.previous_stamp:
-            return baseline.BaselineRatio()
-        now = baseline.from_previous((blank.width, blank.height), seen, usable, fit,
-                                     self._settings.relief)
-        return baseline.baseline_ratio(memory.depths, now, memory.steady(blank))
-
     def _ground_prior(self, blank, fit: MotionFit, ratio) -> GroundPrior:
         """Predict the ground; with unknown baseline ratio at an unchanged speed."""
         log, sigma = self._memory.log_ratio(blank, ratio)
@@ -364,14 +383,12 @@ class PlaneExtractor:
             track = track.missed(prior)
         else:
             track = track.seen(floor.id, floor.plane, floor.covariance)
-        evidence, size = found.evidence, (blank.width, blank.height)
+        evidence = found.evidence
         still = evidence.has_depth & (found.moving.label != Label.MOVING) & ~found.doubtful
-        past = self._memory.past_at(blank, found.fit, baseline.BaselineRatio(
+        past = self._memory.past_at(blank, found.fit, BaselineRatio(
             blank.baseline_ratio, blank.baseline_ratio_sigma))
         self._memory = Memory(
             blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
-            baseline.depth_map(size, (blank.x_cur, evidence.rho, evidence.far_sigma),
-                               found.fit.t_cur_from_prev[2], self._settings.relief,
-                               evidence.has_depth & ~found.doubtful),
             self._memory.planes, possibly_dynamic.painted(found.moving), self._memory.height,
-            self._memory.grid, past.noted(blank.stamp, depths_of(pair, blank, evidence, still)))
+            self._memory.grid, past.noted(blank.stamp, depths_of(pair, blank, evidence, still)),
+            self._memory.map)

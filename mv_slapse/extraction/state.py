@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 from mv_slapse.changed import replace
-from mv_slapse.motion import baseline
 from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.movers.reference_depth import Past
 from mv_slapse.records import Extraction
+from mv_slapse.surfaces.block_map import BaselineRatio, BlockMap
 from mv_slapse.surfaces.depth_grid import DepthGrid
 from mv_slapse.surfaces.ground import GroundTrack, Mount
 from mv_slapse.surfaces.height import HeightBelief
@@ -30,28 +30,28 @@ class Memory:
     ground: GroundTrack = GroundTrack(Mount())
     noise: float = 1.0
     next_id: int = 0
-    depths: baseline.DepthMap | None = None
     planes: KnownPlanes = KnownPlanes.none()
     movers: np.ndarray | None = None
     height: HeightBelief = HeightBelief.blank()
     grid: DepthGrid | None = None
     past: Past = Past()
+    map: BlockMap = BlockMap()
 
     def turned(self, stamp: int, R) -> 'Memory':
         """Return it after the camera has turned by R_cur_from_prev on the spot."""
         floor = self.ground.plane
         floor = floor if floor is None else R @ floor
-        return replace(self, stamp=stamp, previous_stamp=None, depths=None,
+        return replace(self, stamp=stamp, previous_stamp=None,
                        planes=self.planes.turned(R), movers=None, grid=None, past=Past(),
                        ground=replace(self.ground, plane=floor))
 
-    def past_at(self, blank: Extraction, fit: MotionFit, ratio: baseline.BaselineRatio) -> Past:
+    def past_at(self, blank: Extraction, fit: MotionFit, ratio: BaselineRatio) -> Past:
         """Return what stood still before in a pair's camera; nothing where lengths are unknown."""
         if self.stamp != blank.previous_stamp or not np.isfinite(ratio.sigma):
             return Past()
         return self.past.carried(blank.stamp, fit.R_cur_from_prev, fit.t_cur_from_prev, ratio.log)
 
-    def log_ratio(self, blank: Extraction, ratio: baseline.BaselineRatio) -> tuple[float, float]:
+    def log_ratio(self, blank: Extraction, ratio: BaselineRatio) -> tuple[float, float]:
         """Return the logarithm of a pair's baseline over the last one, and its uncertainty."""
         if np.isfinite(ratio.sigma):
             return ratio.log, ratio.sigma
@@ -66,7 +66,7 @@ class Memory:
         return float(np.log((blank.stamp - blank.previous_stamp)
                             / (self.stamp - self.previous_stamp)))
 
-    def is_comparable(self, blank: Extraction, ratio: baseline.BaselineRatio) -> bool:
+    def is_comparable(self, blank: Extraction, ratio: BaselineRatio) -> bool:
         """Tell whether a pair's depths agree with the last one's, as far as there was one.
 
         If not its vectors may mean other pictures, all of them alike.

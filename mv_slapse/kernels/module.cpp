@@ -4,6 +4,7 @@
 
 #include "python.hpp"
 
+void bind_block_map(kernels::py::module_& module);
 void bind_depth_grid(kernels::py::module_& module);
 void bind_ground(kernels::py::module_& module);
 void bind_body(kernels::py::module_& module);
@@ -15,7 +16,6 @@ void bind_obstacle_detection(kernels::py::module_& module);
 void bind_obstacle_motion(kernels::py::module_& module);
 void bind_scene(kernels::py::module_& module);
 void bind_scene_blocks(kernels::py::module_& module);
-void bind_baseline(kernels::py::module_& module);
 void bind_joint(kernels::py::module_& module);
 void bind_motion(kernels::py::module_& module);
 void bind_observations(kernels::py::module_& module);
@@ -31,6 +31,7 @@ PYBIND11_MODULE(mv_slapse_kernels, made) {
   made.doc() = "Kernels of mv_slapse: pure functions of arrays, without state or threads.";
   made.attr("sanitized") = SANITIZED;
   kernels::py::module_ module(made.ptr());
+  bind_block_map(module);
   bind_depth_grid(module);
   bind_ground(module);
   bind_body(module);
@@ -42,7 +43,6 @@ PYBIND11_MODULE(mv_slapse_kernels, made) {
   bind_obstacle_motion(module);
   bind_scene(module);
   bind_scene_blocks(module);
-  bind_baseline(module);
   bind_joint(module);
   bind_motion(module);
   bind_observations(module);

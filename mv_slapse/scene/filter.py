@@ -272,10 +272,9 @@ class SceneFilter:
         for i, id in enumerate(ids):
             index[plane_id == id] = i
         depths = scene_ratio.depths_of(pair, extraction.motion, settings)
-        ratio = (scene_ratio.told(self._state, extraction, depths, settings)
+        ratio = (scene_ratio.told(self._state, extraction, depths, settings, self._progress.rested)
                  if follows and self._progress.carried else [])
-        if ratio:
-            # Braking hard, a step from the length predicted would go beyond zero, and backwards.
+        if ratio:  # braking hard, a step from the length predicted would go beyond zero
             shown = scene_input.shown(self._state.previous, extraction.motion,
                                       float(np.exp(self._state.depth_scale)))
         start = self._state.error_to(replace(self._state, current=shown))
@@ -331,8 +330,9 @@ class SceneFilter:
             return way.length
         if progress.rested:
             height = progress.metric * settings.camera_height or self._ride.height
-            slow = SLOW * progress.fastest * (extraction.stamp - extraction.previous_stamp) * 1e-9
-            return scene_rest.first_baseline(self._state, extraction, height) or max(guess, slow)
+            slow = max(guess, SLOW * progress.fastest * progress.interval)
+            again = progress.carried and scene_ratio.baseline(self._state, extraction)
+            return again or scene_rest.first_baseline(self._state, extraction, height) or slow
         if not progress.metric and settings.camera_height and ground is not None:
             # The camera's height is the ground's depth: 1 / |n/d| in units of the baseline.
             metric = settings.camera_height * float(np.linalg.norm(ground))

@@ -19,7 +19,7 @@ from mv_slapse.codec.encoding.encoder import (
 )
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed
-from mv_slapse.simulation.flight import FISHEYE, Flight, FlightSettings, WIDE
+from mv_slapse.simulation.flight import CUT_FISHEYE, FISHEYE, Flight, FlightSettings, WIDE
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.simulation.truth import film, film_flight
 from mv_slapse.simulation.wheels import drawn_speeds
@@ -56,6 +56,18 @@ DRIVES: dict[str, dict[str, Any]] = {  # how the camera drives, where it is not 
 FLIGHTS = {'flight, wide lens': (WIDE, FlightSettings(n_frames=250)),
            'flight, fisheye': (FISHEYE, FlightSettings(n_frames=250, seed=1)),
            'flight, fast': (WIDE, FlightSettings(n_frames=150, seed=2, speed=4.0))}
+HALL: dict[str, Any] = {'size': 2.0, 'furniture': 9, 'fps': 20.0, 'n_frames': 240}
+QUICK = 1.6  # spin at which it yaws by up to 50 deg/s
+HALLS: dict[str, tuple[Camera, dict[str, Any]]] = {  # flights that pause, in little light
+    'hall, stops': (WIDE, {'stops': (3.0, 8.0), 'light': 0.5}),
+    'hall, hover': (WIDE, {'hovers': (2.5, 7.5), 'spin': QUICK}),
+    'hall, quick yaw': (CUT_FISHEYE, {'spin': QUICK, 'light': 0.4, 'shutter': 0.015}),
+    'hall, take-off': (CUT_FISHEYE, {'take_off': 1.5, 'noise': 6.0, 'hovers': (8.0,)}),
+    'hall, dim': (WIDE, {'light': 0.3, 'noise': 3.0, 'shutter': 0.01, 'stops': (5.0,),
+                         'fps': 30.0, 'n_frames': 330}),
+    'hall, all of it': (WIDE, {'take_off': 1.0, 'stops': (4.0,), 'hovers': (7.6,), 'noise': 2.5,
+                               'spin': QUICK, 'light': 0.5, 'shutter': 0.012, 'fps': 30.0,
+                               'n_frames': 360})}
 LOSSES = {'kitti00, 2 s lost': HEIGHTS['kitti00'], 'kitti00, 2 s lost, free scale': 0.0}
 GIVEN, FREE = 'speed given, ', 'free scale, '
 TOLD = ('kitti00/', 'kitti00, 2 s lost/', 'flight, wide lens/')  # rows with a speed, too
@@ -150,9 +162,11 @@ def drives() -> list[Scene]:
 
 
 def flights() -> list[Scene]:
-    """Return flights through a room; the scale is free."""
+    """Return flights through rooms and halls; the scale is free."""
+    halls = {kind: (lens, FlightSettings(**{**HALL, 'seed': 20 + seed, **settings}))
+             for seed, (kind, (lens, settings)) in enumerate(HALLS.items())}
     return [Scene(kind, partial(_flight, kind, lens, settings, 0.0))
-            for kind, (lens, settings) in FLIGHTS.items()]
+            for kind, (lens, settings) in (FLIGHTS | halls).items()]
 
 
 def grainy(data: Path, scenes: Iterable[Scene]) -> list[Scene]:

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from mv_slapse.extraction.state import Memory
 from mv_slapse.geometry import rotation
-from mv_slapse.motion.baseline import BaselineRatio
 from mv_slapse.records import CameraMotion, Extraction, MotionStatus, SegmentKind
+from mv_slapse.surfaces.block_map import BaselineRatio
 from mv_slapse.surfaces.ground import GroundTrack, Mount
 from mv_slapse.surfaces.plane_track import KnownPlanes
 import numpy as np
@@ -46,5 +46,4 @@ def test_a_turn_on_the_spot_turns_planes_and_forgets_places():
     assert turned.ground.plane @ (R @ point) == pytest.approx(floor @ point)
     np.testing.assert_allclose(turned.planes.covariance[0], R @ np.diag([1.0, 2.0, 3.0]) @ R.T)
     assert turned.movers is None
-    assert turned.depths is None
     assert turned.stamp == 300

@@ -1,14 +1,13 @@
-"""Kernels of a pair's motion, observations, baseline and refinement against their formulas."""
+"""Kernels of a pair's motion, observations and refinement against their formulas."""
 
-from dataclasses import astuple, replace
+from dataclasses import replace
 
-from canyon import CANYON, HEIGHT, motion, MOTIONS, views, WIDTH
+from canyon import CANYON, motion, MOTIONS, views
 import formulas
-from kernels import baseline_reference, two_view_reference
 from kernels import motion_reference as reference
+from kernels import two_view_reference
 from mv_slapse.geometry import epipolar, rotation
-from mv_slapse.kernels.binding import compiled
-from mv_slapse.motion import baseline, estimate, observations
+from mv_slapse.motion import estimate, observations
 from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.surfaces import joint
 import numpy as np
@@ -100,37 +99,6 @@ def test_joint_refinement(scene, start, known):
                                              0.03, expected=known)
     for mine, numpys in zip(found, expected, strict=True):
         np.testing.assert_allclose(mine, numpys, rtol=1e-6, atol=1e-6 * np.abs(numpys).max())
-
-
-def depth_maps(scene, rng):
-    """Return the depths of two pairs, the later one a third longer, noisy and in part wrong."""
-    unit = np.maximum(0.3 / reference.reach(scene.pair.rays_cur, scene.pair.focal, scene.t), 1e-9)
-    for factor in (1.0, 1.3):
-        rho = factor * scene.rho + unit * rng.normal(size=len(unit))
-        rho[rng.uniform(size=len(rho)) < 0.1] *= 3
-        yield baseline.depth_map((WIDTH, HEIGHT), (scene.x_cur, rho, unit), scene.t[2], 0.03,
-                                 scene.surface >= 0)
-
-
-def test_depths_between_blocks_and_their_ratio(scene, rng):
-    before, now = depth_maps(scene, rng)
-    np.testing.assert_array_equal(before.grid, baseline_reference.depth_grid(
-        (30, 40), scene.x_cur, scene.surface >= 0))
-    for found, expected in zip(before.at(scene.x_prev),
-                               baseline_reference.at(before, scene.x_prev), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-9)
-    for pair in ((before, now), (now, before)):
-        ratio = compiled.depth_excess(*(depths.columns for depths in pair), baseline.POLICY, 0.1)
-        np.testing.assert_allclose(ratio, astuple(baseline_reference.excess(*pair, 0.1)),
-                                   rtol=1e-9)
-
-
-@pytest.mark.parametrize('n', [19, 20, 61, 200])
-def test_the_robust_mean(rng, n):
-    value, sigma = rng.normal(0.2, 0.3, n), rng.uniform(0.001, 0.2, n)
-    np.testing.assert_allclose(astuple(formulas.robust_mean(value, sigma, 0.1)),
-                               astuple(baseline_reference.robust_mean(value, sigma, 0.1)),
-                               rtol=1e-9)
 
 
 def test_results_are_the_same_from_call_to_call(scene, start):

@@ -43,20 +43,26 @@ def depths_of(pair: two_view.Pair, motion: CameraMotion, settings: SceneSettings
     return Depths(R, t, slope, float(slope @ motion.covariance @ slope) * settings.dependence)
 
 
-def told(state: SceneState, extraction: Extraction, depths: Depths,
-         settings: SceneSettings) -> list[Observation]:
+def told(state: SceneState, extraction: Extraction, depths: Depths, settings: SceneSettings,
+         rested: bool = False) -> list[Observation]:
     """Move the scale of the depths by a pair's ratio; return what it tells of the baseline.
 
     Nothing where the ratio contradicts the prediction: vectors that are wrong in bulk agree in
-    depths.
+    depths. After a rest no length is predicted that it could contradict.
     """
     sampling = extraction.baseline_ratio_sigma * np.sqrt(settings.depth_dependence)
-    sigma, log = float(np.hypot(sampling, settings.ratio_drift)), extraction.baseline_ratio
-    if not holds(state, log, float(np.sqrt(sigma**2 + settings.ratio_sigma**2
-                                           + depths.variance))):
+    sigma, log = float(np.hypot(sampling, settings.ratio_sigma)), extraction.baseline_ratio
+    if not (np.isfinite(sigma) and (rested or holds(
+            state, log, float(np.sqrt(sigma**2 + depths.variance))))):
         return []
-    move(state, log, sigma)
-    return [observed(depths, settings.ratio_sigma)]
+    move(state, log, settings.ratio_drift)
+    return [observed(depths, sigma)]
+
+
+def baseline(state: SceneState, extraction: Extraction) -> float:
+    """Return the length that a pair's ratio to the baseline before tells, 0 if it is unknown."""
+    known = np.isfinite(extraction.baseline_ratio_sigma)
+    return float(np.exp(state.depth_scale + extraction.baseline_ratio)) if known else 0.0
 
 
 def holds(state: SceneState, log_ratio: float, sigma: float) -> bool:

@@ -1,0 +1,475 @@
+// The block map: depths of what stands still, carried from camera to camera; a pair's motion against
+// them; see surfaces/block_map.py.
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+#include <vector>
+
+#include "two_view_arguments.hpp"
+
+namespace kernels {
+namespace {
+
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
+constexpr double MACROBLOCK = 16;  // px
+constexpr double AHEAD = 0.05;     // z of a unit ray, beyond which a point may lie in the picture
+
+struct Point {  // of the map, in the camera of a key frame
+  Vec3 ray;     // unit
+  double rho;   // inverse distance [1/map unit]
+  double variance;
+};
+
+struct Known {  // what the map tells of a block: inverse depth in camera k-1
+  double rho, variance;
+  double smooth;  // the same of what lies around, which does not err with the block
+  bool any() const { return variance < INFINITE; }
+};
+
+// A named constant of policy, which Python holds.
+double policy(const py::dict& constants, const char* name) {
+  require(constants.contains(name), "block_map", name);
+  return constants[name].cast<double>();
+}
+
+std::vector<Point> points_of(const char* kernel, const py::object& object) {
+  const In<double> rows(kernel, "points", object, {ANY, 5}, Check::finite);
+  std::vector<Point> out(rows.size());
+  for (py::ssize_t i = 0; i < rows.size(); ++i)
+    out[i] = {{rows(i, 0), rows(i, 1), rows(i, 2)}, rows(i, 3), rows(i, 4)};
+  return out;
+}
+
+py::array_t<double> array_of(const std::vector<Point>& points) {
+  Out<double> out({static_cast<py::ssize_t>(points.size()), 5});
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const Point& p = points[i];
+    const double row[5] = {p.ray[0], p.ray[1], p.ray[2], p.rho, p.variance};
+    std::copy_n(row, 5, out.data() + 5 * i);
+  }
+  return out.array();
+}
+
+double middle_of(std::vector<double> values) { return values.empty() ? 0 : median(values); }
+
+// A picture's macroblocks.
+struct Picture {
+  Picture(const char* kernel, const py::object& K_, const py::object& size_) {
+    const In<double> K(kernel, "K", K_, {3, 3}, Check::finite);
+    const In<std::int64_t> size(kernel, "size", size_, {2});
+    fx = K(0, 0), fy = K(1, 1), cx = K(0, 2), cy = K(1, 2);
+    columns = static_cast<int>((size[0] + 15) / 16), rows = static_cast<int>((size[1] + 15) / 16);
+  }
+  // Pixel of a ray before the camera.
+  std::pair<double, double> pixel(const Vec3& ray) const {
+    return {fx * ray[0] / ray[2] + cx, fy * ray[1] / ray[2] + cy};
+  }
+  static int cell_of(double x) {
+    return static_cast<int>(std::floor((std::clamp(x, -1e6, 1e6) + 0.5) / MACROBLOCK));
+  }
+  // Number of the macroblock of a pixel, -1 outside of the picture.
+  int cell(double x, double y) const {
+    const int column = cell_of(x), row = cell_of(y);
+    return column < 0 || row < 0 || column >= columns || row >= rows ? -1 : row * columns + column;
+  }
+  double fx, fy, cx, cy;
+  int columns, rows;
+};
+
+// The points that a picture shows, by macroblock; some beyond its edges, too.
+class View {
+ public:
+  struct Item {
+    double x, y, rho, variance;  // pixel, inverse depth
+  };
+  View(const std::vector<Point>& points, const Picture& picture)
+      : columns_(picture.columns + 2 * MARGIN), rows_(picture.rows + 2 * MARGIN) {
+    std::vector<std::pair<int, Item>> found;
+    for (const Point& p : points) {
+      if (!(p.ray[2] > AHEAD)) continue;
+      const auto [x, y] = picture.pixel(p.ray);
+      const int column = Picture::cell_of(x) + MARGIN, row = Picture::cell_of(y) + MARGIN;
+      if (column < 0 || row < 0 || column >= columns_ || row >= rows_) continue;
+      const double z = p.ray[2];
+      found.push_back({row * columns_ + column, {x, y, p.rho / z, p.variance / (z * z)}});
+    }
+    start_.assign(columns_ * rows_ + 1, 0);
+    for (const auto& [cell, item] : found) ++start_[cell + 1];
+    for (std::size_t c = 1; c < start_.size(); ++c) start_[c] += start_[c - 1];
+    items_.resize(found.size());
+    auto next = start_;
+    for (const auto& [cell, item] : found) items_[next[cell]++] = item;
+  }
+  // The points nearest to a pixel within REACH, nearest first: square of the distance, item.
+  void near(double x, double y, int most, std::vector<std::pair<double, const Item*>>& out) const {
+    out.clear();
+    const int column = Picture::cell_of(x) + MARGIN, row = Picture::cell_of(y) + MARGIN;
+    for (int r = std::max(row - MARGIN, 0); r <= std::min(row + MARGIN, rows_ - 1); ++r)
+      for (int c = std::max(column - MARGIN, 0); c <= std::min(column + MARGIN, columns_ - 1); ++c)
+        for (int i = start_[r * columns_ + c]; i < start_[r * columns_ + c + 1]; ++i) {
+          const double dx = items_[i].x - x, dy = items_[i].y - y, square = dx * dx + dy * dy;
+          if (square < REACH * REACH) out.emplace_back(square, &items_[i]);
+        }
+    const auto nearer = [](const auto& a, const auto& b) {
+      return a.first < b.first || (a.first == b.first && a.second < b.second);
+    };
+    const auto kept = std::min<std::size_t>(out.size(), most);
+    std::partial_sort(out.begin(), out.begin() + kept, out.end(), nearer);
+    out.resize(kept);
+  }
+
+ private:
+  static constexpr int MARGIN = 2;        // macroblocks
+  static constexpr double REACH = 32;     // px
+  int columns_, rows_;
+  std::vector<int> start_;
+  std::vector<Item> items_;
+};
+
+struct Interpolation {
+  explicit Interpolation(const py::dict& is)
+      : same(policy(is, "same_surface")), spread(policy(is, "spread")),
+        roughness(policy(is, "roughness")), slack(policy(is, "slack")),
+        most(static_cast<int>(policy(is, "neighbours"))),
+        ring(static_cast<std::size_t>(policy(is, "ring"))) {}
+  double same, spread, roughness, slack;
+  int most;
+  std::size_t ring;
+};
+
+// Inverse depth at a pixel by the plane through the points around it that lie on one surface.
+Known interpolated(const std::vector<std::pair<double, const View::Item*>>& near, double x,
+                   double y, const Interpolation& is) {
+  const Known none{0, INFINITE, 0};
+  if (near.size() < 4) return none;
+  double first[3] = {near[0].second->rho, near[1].second->rho, near[2].second->rho};
+  std::sort(first, first + 3);
+  const double reference = first[1];
+  double total = 0, variance = 0, around = 0, A[9] = {}, b[3] = {};
+  int n = 0, n_around = 0;
+  for (std::size_t k = 0; k < near.size(); ++k) {
+    const View::Item& p = *near[k].second;
+    if (!(std::abs(p.rho - reference) <
+          is.same * std::abs(reference) + 2 * std::sqrt(p.variance)))
+      continue;
+    const double far = 1 + near[k].first / (is.spread * is.spread);
+    const double rough = is.roughness * reference;
+    const double weight = 1 / (far * far * (p.variance + rough * rough + 1e-12));
+    const double d[3] = {1, (p.x - x) / MACROBLOCK, (p.y - y) / MACROBLOCK};
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) A[3 * i + j] += weight * d[i] * d[j];
+      b[i] += weight * d[i] * p.rho;
+    }
+    total += weight;
+    variance += weight * p.variance;
+    ++n;
+    if (k >= is.ring) around += p.rho, ++n_around;
+  }
+  if (n < 4) return none;
+  const double mean = b[0] / total;
+  for (auto& a : A) a /= total;
+  for (auto& a : b) a /= total;
+  A[4] += 0.05, A[8] += 0.05;  // square of the slope that a few points in a row leave open
+  if (!cholesky(A, 3)) return none;
+  cholesky_solve(A, 3, b);
+  if (!(std::abs(b[0] - mean) < is.slack * std::abs(mean))) return none;
+  return {b[0], variance / total, n_around >= 2 ? around / n_around : mean};
+}
+
+py::array_t<double> map_at(const py::object& points_, const py::object& x_, const py::object& K,
+                           const py::object& size, const py::dict& is) {
+  constexpr auto kernel = "map_at";
+  const auto points = points_of(kernel, points_);
+  const In<double> x(kernel, "x", x_, {ANY, 2}, Check::finite);
+  const View view(points, Picture(kernel, K, size));
+  const Interpolation how(is);
+  Out<double> out({x.size(), 3});
+  std::vector<std::pair<double, const View::Item*>> near;
+  for (py::ssize_t i = 0; i < x.size(); ++i) {
+    view.near(x(i, 0), x(i, 1), how.most, near);
+    const Known known = interpolated(near, x(i, 0), x(i, 1), how);
+    out(i, 0) = known.rho, out(i, 1) = known.variance, out(i, 2) = known.smooth;
+  }
+  return out.array();
+}
+
+std::vector<Known> known_of(const char* kernel, const py::object& object, py::ssize_t n) {
+  const In<double> rows(kernel, "known", object, {n, 3});
+  std::vector<Known> out(n);
+  for (py::ssize_t i = 0; i < n; ++i) out[i] = {rows(i, 0), rows(i, 1), rows(i, 2)};
+  return out;
+}
+
+struct Fit {  // what a pair's blocks and the map tell of its motion
+  double A[36] = {}, b[6] = {};  // by (w, t), R -> exp(w) R
+  double cost = 0;
+  double length = 0;  // information about the log of the way alone
+};
+
+struct FitPolicy {
+  double relief;  // of a surface between the points of the map, as a share of depth
+  double weak;    // standard deviation of a depth that is not known, over the usual one
+  double usual;   // inverse depth
+};
+
+Fit terms(const PairArrays& pair, const std::vector<Known>& known, const TwoView& view,
+          double width, const FitPolicy& is) {
+  Fit out;
+  const Vec3& t = view.t;
+  for (std::size_t i = 0; i < pair.size(); ++i) {
+    const Vec3 a = view.R * Vec3{pair.rays_prev(i, 0), pair.rays_prev(i, 1), 1};
+    const bool told = known[i].any();
+    const double rho = told ? known[i].rho : is.usual;
+    const double rough = told ? is.relief * known[i].smooth : is.weak * is.usual;
+    const double variance = rough * rough + (told ? known[i].variance : 0);
+    const double noise = pair.sigma[i] * pair.sigma[i];
+    double z, u, v, ex, ey, gx, gy;
+    const auto project = [&](double q) {
+      z = std::max(a[2] + q * t[2], 1e-3);
+      u = (a[0] + q * t[0]) / z;
+      v = (a[1] + q * t[1]) / z;
+      ex = view.fx * (pair.rays_cur(i, 0) - u);
+      ey = view.fy * (pair.rays_cur(i, 1) - v);
+      gx = view.fx * (t[0] - u * t[2]) / z;
+      gy = view.fy * (t[1] - v * t[2]) / z;
+    };
+    project(rho);
+    // Linearised about a depth that does not err with the block's own: its weight, and what the
+    // way does to it, would depend on that error else, and lengths drift by 0.1 % a pair.
+    double at = known[i].smooth;
+    if (told) {
+      const double rx = ex, ry = ey;
+      project(at);
+      ex = rx, ey = ry;
+    } else {
+      const double gain = variance / (noise + variance * (gx * gx + gy * gy));
+      at = std::clamp(rho + gain * (gx * ex + gy * ey), 0.0, 8 * rho);
+      project(at);
+      ex += gx * (at - rho), ey += gy * (at - rho);
+    }
+    const double square = gx * gx + gy * gy, c = variance / (noise + variance * square);
+    const double along = gx * ex + gy * ey;
+    const double error = std::max((ex * ex + ey * ey - c * along * along) / noise, 0.0);
+    const double softness = 1 / (width * width);
+    const double weight = 1 / ((1 + error * softness) * (1 + error * softness) * noise);
+    out.cost += error / (1 + error * softness);
+    const Vec3 du{view.fx / z, 0, -view.fx * u / z}, dv{0, view.fy / z, -view.fy * v / z};
+    const Vec3 wu = cross(a, du), wv = cross(a, dv);
+    double U[6], V[6], G[6];
+    for (int k = 0; k < 3; ++k) {
+      U[k] = wu[k], V[k] = wv[k];
+      U[3 + k] = at * du[k], V[3 + k] = at * dv[k];
+    }
+    for (int k = 0; k < 6; ++k) G[k] = gx * U[k] + gy * V[k];
+    for (int r = 0; r < 6; ++r) {
+      for (int s = 0; s <= r; ++s)
+        out.A[6 * r + s] += weight * (U[r] * U[s] + V[r] * V[s] - c * G[r] * G[s]);
+      out.b[r] += weight * (U[r] * ex + V[r] * ey - c * G[r] * along);
+    }
+    if (told) out.length += weight * at * at * square * (1 - c * square);
+  }
+  for (int r = 0; r < 6; ++r)
+    for (int s = r + 1; s < 6; ++s) out.A[6 * r + s] = out.A[6 * s + r];
+  return out;
+}
+
+// -> R (3, 3), t (3,), A (6, 6), information about the log of |t|, mean robust cost
+py::tuple fit_to_map(const py::tuple& pair_, const py::object& known_, const py::object& starts_,
+                     const py::object& widths_, const py::dict& is) {
+  constexpr auto kernel = "fit_to_map";
+  require(pair_.size() == 4, kernel, "a pair has rays_cur, rays_prev, sigma, focal");
+  const PairArrays pair(kernel, pair_[0], pair_[1], pair_[2]);
+  const In<double> focal(kernel, "focal", pair_[3], {2}, Check::finite);
+  const auto known = known_of(kernel, known_, pair.rays_cur.size());
+  const In<double> starts(kernel, "starts", starts_, {ANY, 12}, Check::finite);
+  const In<double> widths(kernel, "widths", widths_, {ANY}, Check::finite);
+  require(starts.size() > 0 && widths.size() > 1, kernel, "there must be a start and two widths");
+  std::vector<double> depths;
+  for (const Known& one : known)
+    if (one.any()) depths.push_back(one.rho);
+  const FitPolicy how{policy(is, "relief"), policy(is, "weak"), std::max(middle_of(depths), 1e-9)};
+  TwoView view{};
+  double least = INFINITE;
+  for (py::ssize_t k = 0; k < starts.size(); ++k) {
+    TwoView trial{{}, {starts(k, 9), starts(k, 10), starts(k, 11)}, focal[0], focal[1]};
+    std::copy_n(&starts[12 * k], 9, trial.R.begin());
+    const double cost = terms(pair, known, trial, widths[1], how).cost;
+    if (cost < least) least = cost, view = trial;
+  }
+  Fit now;
+  for (py::ssize_t k = 0; k < widths.size(); ++k) {
+    now = terms(pair, known, view, widths[k], how);
+    double L[36], step[6];
+    std::copy_n(now.A, 36, L);
+    std::copy_n(now.b, 6, step);
+    for (int r = 0; r < 6; ++r) L[7 * r] += 1e-9 * L[7 * r] + 1e-12;
+    if (!cholesky(L, 6)) break;
+    cholesky_solve(L, 6, step);
+    view.R = rotation_exp({step[0], step[1], step[2]}) * view.R;
+    view.t = view.t + Vec3{step[3], step[4], step[5]};
+    if (k > 3 && norm({step[0], step[1], step[2]}) < 1e-6 &&
+        norm({step[3], step[4], step[5]}) < 1e-4 * norm(view.t))
+      break;
+  }
+  now = terms(pair, known, view, widths[widths.size() - 1], how);
+  Out<double> A({6, 6});
+  std::copy_n(now.A, 36, A.data());
+  return py::make_tuple(matrix_of(view.R, {3, 3}), matrix_of(view.t, {3}), A.array(), now.length,
+                        now.cost / std::max<double>(1, static_cast<double>(pair.size())));
+}
+
+void move(std::vector<Point>& points, const TwoView& view, double inflation) {
+  for (Point& p : points) {
+    const Vec3 h = view.R * p.ray + p.rho * view.t;
+    const double n = std::max(norm(h), 1e-9), slope = 1 / n - p.rho * dot(h, view.t) / (n * n * n);
+    p.ray = (1 / n) * h;
+    p.rho /= n;
+    p.variance = slope * slope * p.variance + inflation * inflation * p.rho * p.rho;
+  }
+}
+
+struct Seen {  // a block's own inverse depth in camera k, and what the map foretold of it
+  double rho, sigma, before, variance;
+  bool good, foretold;
+};
+
+std::vector<Seen> measured(const PairArrays& pair, const std::vector<Known>& known,
+                           const TwoView& view, double epsilon) {
+  std::vector<Seen> out(pair.size());
+  std::vector<double> foretold, own;
+  const Vec3& t = view.t;
+  const auto error = epipolar_errors(pair.blocks(), view);
+  for (std::size_t i = 0; i < pair.size(); ++i) {
+    const Vec3 a = view.R * Vec3{pair.rays_prev(i, 0), pair.rays_prev(i, 1), 1};
+    const double dx = a[0] / a[2], dy = a[1] / a[2];
+    const double gx = (t[0] - dx * t[2]) * view.fx, gy = (t[1] - dy * t[2]) * view.fy;
+    const double square = gx * gx + gy * gy;
+    Seen& one = out[i];
+    one.good = square > 1e-18 && std::abs(error[i]) < epsilon;
+    one.rho = one.good ? ((pair.rays_cur(i, 0) - dx) * view.fx * gx +
+                          (pair.rays_cur(i, 1) - dy) * view.fy * gy) / square : 0;
+    const double ahead = a[2] + known[i].rho * t[2];
+    one.foretold = known[i].any() && ahead > 1e-6;
+    if (one.foretold) {
+      one.before = known[i].rho / ahead;
+      const double slope = a[2] / (ahead * ahead);
+      one.variance = slope * slope * known[i].variance;
+      foretold.push_back(one.before);
+    }
+    if (one.good) own.push_back(one.rho);
+  }
+  const double usual = foretold.size() > 20 ? middle_of(foretold) : middle_of(own);
+  for (std::size_t i = 0; i < pair.size(); ++i) {
+    // By the depth that was foretold: by its own, what errs towards the camera would count more.
+    const double rho = out[i].foretold ? out[i].before : usual, ahead = 1 - rho * t[2];
+    const double gx = (t[0] - pair.rays_cur(i, 0) * t[2]) * view.fx,
+                 gy = (t[1] - pair.rays_cur(i, 1) * t[2]) * view.fy;
+    out[i].sigma = ahead * ahead * pair.sigma[i] / std::max(std::sqrt(gx * gx + gy * gy), 1e-12);
+  }
+  return out;
+}
+
+// Points after a pair: moved, corrected by its blocks, and joined by new ones where there was none.
+py::array_t<double> fuse_map(const py::object& points_, const py::tuple& pair_,
+                             const py::object& known_, const py::object& motion,
+                             const py::tuple& picture_, const py::dict& is) {
+  constexpr auto kernel = "fuse_map";
+  auto points = points_of(kernel, points_);
+  require(pair_.size() == 4, kernel, "a pair has rays_cur, rays_prev, sigma, focal");
+  require(picture_.size() == 2, kernel, "a picture has K and size");
+  const PairArrays pair(kernel, pair_[0], pair_[1], pair_[2]);
+  const In<double> focal(kernel, "focal", pair_[3], {2}, Check::finite);
+  const In<double> Rt(kernel, "motion", motion, {12}, Check::finite);
+  TwoView view{{}, {Rt[9], Rt[10], Rt[11]}, focal[0], focal[1]};
+  std::copy_n(Rt.data(), 9, view.R.begin());
+  const auto known = known_of(kernel, known_, pair.rays_cur.size());
+  const Picture picture(kernel, picture_[0], picture_[1]);
+  move(points, view, policy(is, "inflation"));
+  const auto seen = measured(pair, known, view, policy(is, "epsilon"));
+  // The surest block of each macroblock.
+  std::vector<int> first(picture.columns * picture.rows, -1);
+  std::vector<double> usual, own;
+  for (std::size_t i = 0; i < seen.size(); ++i) {
+    if (seen[i].foretold) usual.push_back(seen[i].before);
+    if (!seen[i].good) continue;
+    own.push_back(seen[i].rho);
+    const auto [x, y] = picture.pixel({pair.rays_cur(i, 0), pair.rays_cur(i, 1), 1});
+    const int cell = picture.cell(x, y);
+    if (cell >= 0 && (first[cell] < 0 || seen[i].sigma < seen[first[cell]].sigma))
+      first[cell] = static_cast<int>(i);
+  }
+  const double typical = usual.empty() ? middle_of(own) : middle_of(usual);
+  std::vector<double> distances;
+  for (const Point& p : points) distances.push_back(p.rho);
+  const double worst = 1.5 * middle_of(distances);
+  const double gate = policy(is, "gate"), least = policy(is, "least_gain"),
+               sure = policy(is, "sure"), doubt = policy(is, "doubt");
+  std::vector<std::vector<int>> members(first.size());
+  std::vector<char> kept(points.size(), 1);
+  for (std::size_t k = 0; k < points.size(); ++k) {
+    Point& p = points[k];
+    if (!(p.ray[2] > AHEAD)) continue;
+    const auto [x, y] = picture.pixel(p.ray);
+    const int cell = picture.cell(x, y);
+    if (cell < 0) continue;
+    if (first[cell] >= 0 && seen[first[cell]].foretold) {
+      const Seen& one = seen[first[cell]];
+      const double off = one.rho - one.before, noise = one.sigma * one.sigma,
+                   sum = one.variance + noise;
+      if (off * off < gate * sum) {
+        double gain = one.variance / sum;
+        if (one.sigma < sure * std::abs(one.before)) gain = std::max(gain, least);
+        const double longer = norm({pair.rays_cur(first[cell], 0), pair.rays_cur(first[cell], 1), 1});
+        const double share = p.rho * longer / (std::abs(one.before) > 1e-9 ? one.before : 1e-9);
+        p.rho += gain * off * (share > 0.5 && share < 2 ? share : 1) / longer;
+        p.variance *= ((1 - gain) * (1 - gain) * one.variance + gain * gain * noise) /
+                      std::max(one.variance, 1e-18);
+      } else {
+        p.variance *= doubt;
+      }
+    }
+    if (std::sqrt(p.variance) < worst)
+      members[cell].push_back(static_cast<int>(k));
+    else
+      kept[k] = 0;
+  }
+  const auto most = static_cast<std::size_t>(policy(is, "most_in_one"));
+  std::vector<Point> fresh;
+  for (std::size_t cell = 0; cell < first.size(); ++cell) {
+    auto& here = members[cell];
+    if (here.size() > most) {
+      std::sort(here.begin(), here.end(), [&](int a, int b) {
+        const double one = points[a].variance / std::max(points[a].rho * points[a].rho, 1e-24),
+                     two = points[b].variance / std::max(points[b].rho * points[b].rho, 1e-24);
+        return one < two || (one == two && a < b);
+      });
+      for (std::size_t j = most; j < here.size(); ++j) kept[here[j]] = 0;
+    }
+    if (!here.empty() || first[cell] < 0) continue;
+    const Seen& one = seen[first[cell]];
+    if (!(one.sigma < typical && one.rho > -3 * one.sigma)) continue;
+    const Vec3 ray{pair.rays_cur(first[cell], 0), pair.rays_cur(first[cell], 1), 1};
+    const double n = norm(ray), rough = policy(is, "first_relief") * one.rho;
+    fresh.push_back({(1 / n) * ray, one.rho / n,
+                     (one.sigma * one.sigma + rough * rough) / (n * n)});
+  }
+  std::vector<Point> out;
+  for (std::size_t k = 0; k < points.size(); ++k)
+    if (kept[k]) out.push_back(points[k]);
+  out.insert(out.end(), fresh.begin(), fresh.end());
+  const auto limit = static_cast<std::size_t>(policy(is, "most"));
+  if (out.size() > limit) out.erase(out.begin(), out.end() - static_cast<std::ptrdiff_t>(limit));
+  return array_of(out);
+}
+
+}  // namespace
+}  // namespace kernels
+
+void bind_block_map(kernels::py::module_& module) {
+  using namespace kernels;
+  module.def("map_at", map_at);
+  module.def("fit_to_map", fit_to_map);
+  module.def("fuse_map", fuse_map);
+}

@@ -1,0 +1,190 @@
+"""Depths of what stands still, kept from pair to pair: by them each motion has a length.
+
+Two views know the direction of their baseline only. Where its length is a chain of ratios of
+neighbouring pairs, a stop, a hover or a quick yaw breaks it. The map is carried to the newest
+camera instead, with what is out of view, and nothing of it is forgotten at rest: each pair is
+fitted to it in six degrees of freedom. Depths are filtered as in semi-dense visual odometry
+(Engel, Sturm, Cremers, ICCV 2013).
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from mv_slapse.changed import replace
+from mv_slapse.geometry import epipolar, two_view
+from mv_slapse.kernels.binding import compiled
+from mv_slapse.motion.estimate import MotionFit
+import numpy as np
+
+# Of the kernel [sigma] in each step; the second judges the starts.
+WIDTHS = np.array((8.0, 4.0) + 10 * (2.5,))
+SURE_START = 0.3  # error of a pair's own depth, as a share, with which it tells a first length
+LEAST_KNOWN = 20  # blocks with a depth; fewer cannot tell a length from their outliers
+
+POLICY = {
+    # Interpolation between points: largest difference from the three nearest, as a share; width of
+    # the weight [px]; roughness of a surface, as a share; most that the slope may change a depth.
+    'same_surface': 0.25, 'spread': 12.0, 'roughness': 0.1, 'slack': 0.3,
+    # Nearest points that are asked, and those of them that count as the block's own.
+    'neighbours': 14, 'ring': 4,
+    'relief': 0.02,  # of a surface between points, as a share of depth
+    'weak': 1.0,  # standard deviation of the inverse depth of a block that the map does not know
+    'inflation': 0.005,  # share by which depths become less sure in each pair
+    'epsilon': 3.0,  # [sigma] of the epipolar error, beyond which a block tells no depth
+    'gate': 9.0,  # squared, 3 sigma: beyond, a depth contradicts the map
+    'least_gain': 0.15, 'sure': 0.2,  # of a depth that a pair knows to that share
+    'doubt': 4.0,  # growth of the variance of what is contradicted, until it is replaced
+    'first_relief': 0.03,  # share by which a first depth errs beside its vector
+    'most_in_one': 1, 'most': 4000}  # points in a macroblock, and in all
+
+
+@dataclass(frozen=True)
+class BaselineRatio:
+    """log(|t_k| / |t| of the last pair that had a baseline), standard deviation; inf: unknown."""
+
+    log: float = 0.0
+    sigma: float = float('inf')
+
+
+class MapMotion(NamedTuple):
+    """A pair's motion against the map.
+
+    Attributes
+    ----------
+    R, t : (3, 3), (3,) arrays
+        X_cur = R X_prev + t [map unit].
+    covariance : (6, 6) array
+        Of (w, t / |t|), R -> exp(w) R.
+    sigma : float
+        Of log |t|.
+    """
+
+    R: np.ndarray
+    t: np.ndarray
+    covariance: np.ndarray
+    sigma: float
+
+    @property
+    def length(self) -> float:
+        """Return |t| [map unit]."""
+        return float(np.linalg.norm(self.t))
+
+
+@dataclass(frozen=True)
+class BlockMap:
+    """Points (M, 5) in the newest camera: unit ray, inverse distance [1/map unit], its variance.
+
+    Attributes
+    ----------
+    points : (M, 5) array
+    stamp : int or None
+        Of the key frame [ns]; None before the first.
+    length : float
+        Of the last baseline [map unit]; 0 before the first.
+    R, velocity : (3, 3), (3,) arrays
+        R_cur_from_prev and t_cur_from_prev over the time [map unit/s] of the last pair.
+    """
+
+    points: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
+    stamp: int | None = None
+    length: float = 0.0
+    R: np.ndarray = field(default_factory=lambda: np.eye(3))
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    def at(self, stamp: int) -> 'BlockMap':
+        """Return it for a pair whose earlier key frame has a stamp; a new one after a gap."""
+        return self if self.stamp == stamp else BlockMap(stamp=stamp)
+
+    def known(self, pair: two_view.Pair, size: tuple[int, int]) -> np.ndarray:
+        """Return what is known of a pair's blocks in camera k-1 (N, 3).
+
+        Columns: inverse depth, interpolated on planes; its variance, infinite where it is unknown;
+        inverse depth of what lies around, which does not err with it.
+        """
+        return compiled.map_at(self.points, pair.x_prev, pair.K, np.array(size, np.int64), POLICY)
+
+    def measured(self, pair: two_view.Pair, known: np.ndarray, fit: MotionFit, stamp: int):
+        """Return the motion of a pair up to a stamp [ns], its length, its ratio to the last one.
+
+        Where the map does not tell these, the pair's own motion and the usual length [map unit].
+        """
+        way = self.moving(pair, known, fit, 1e-9 * (stamp - self.stamp))
+        if way is None or way.length == 0:
+            return fit, self.usual(stamp), BaselineRatio()
+        fit = replace(fit, R_cur_from_prev=way.R, t_cur_from_prev=way.t / way.length,
+                      covariance=way.covariance)
+        ratio = (BaselineRatio(float(np.log(way.length / self.length)), way.sigma)
+                 if self.length else BaselineRatio())
+        return fit, way.length, ratio
+
+    def moving(self, pair: two_view.Pair, known: np.ndarray, fit: MotionFit,
+               dt: float) -> MapMotion | None:
+        """Return the motion of a pair against the map, None where it knows too little of it.
+
+        Starts from the pair's own motion, at the length that the map's depths tell and at that of
+        the last pair, and from the last motion, over ``dt`` [s].
+        """
+        R, t, way = fit.R_cur_from_prev, fit.t_cur_from_prev, self.velocity * dt
+        rho, per_pixel = epipolar.inverse_depth(pair.rays_prev, pair.rays_cur, pair.focal, R.T,
+                                                -R.T @ t)
+        sure = np.isfinite(known[:, 1]) & (per_pixel * pair.sigma < SURE_START * rho)
+        sure &= known[:, 0] > 0
+        if np.count_nonzero(sure) < LEAST_KNOWN:
+            return None
+        length = float(np.median(rho[sure] / known[sure, 0]))
+        return self._fitted(pair, known, [(R, length * t), (R, np.linalg.norm(way) * t), (R, way),
+                                          (self.R, way)])
+
+    def turning(self, pair: two_view.Pair, known: np.ndarray, R: np.ndarray) -> MapMotion | None:
+        """Return the little motion of a camera that seems to turn on the spot by R (3, 3)."""
+        if np.count_nonzero(np.isfinite(known[:, 1])) < LEAST_KNOWN:
+            return None
+        return self._fitted(pair, known, [(R, np.zeros(3))])
+
+    def _fitted(self, pair, known, starts) -> MapMotion:
+        """Return the motion from the best of some starts (R, t)."""
+        rows = np.array([np.r_[np.ravel(R), t] for R, t in starts])
+        R, t, A, length, _ = compiled.fit_to_map(columns(pair), known, rows, WIDTHS, POLICY)
+        return MapMotion(R, t, _covariance(A, t), float(1 / np.sqrt(max(length, 1e-12))))
+
+    def moved(self, stamp: int, motion: tuple, pair: two_view.Pair, known: np.ndarray,
+              size: tuple[int, int]) -> 'BlockMap':
+        """Return it in camera k at a stamp, with what a pair's blocks tell.
+
+        ``motion`` is (R_cur_from_prev, t_cur_from_prev) [map unit].
+        """
+        R, t = motion
+        points = compiled.fuse_map(
+            self.points, columns(pair), known, np.r_[np.ravel(R), t],
+            (pair.K, np.array(size, np.int64)), POLICY)
+        return replace(self, points=points, stamp=stamp, R=R,
+                       velocity=1e9 * t / max(stamp - self.stamp, 1))
+
+    def rested(self, stamp: int) -> 'BlockMap':
+        """Return it after a pair of a camera that stands still."""
+        return replace(self, stamp=stamp, R=np.eye(3), velocity=np.zeros(3))
+
+    def coasted(self, stamp: int, K: np.ndarray, size: tuple[int, int]) -> 'BlockMap':
+        """Return it after a pair that shows no motion: the last one goes on."""
+        t = 1e-9 * (stamp - self.stamp) * self.velocity
+        none = np.zeros((0, 3))
+        nothing = two_view.Pair(none, none, np.zeros((0, 2)), np.zeros(0), K)
+        return self.moved(stamp, (self.R, t), nothing, none, size)
+
+    def usual(self, stamp: int) -> float:
+        """Return the length of a baseline at an unchanged speed [map unit], 1 if none is known."""
+        way = 1e-9 * (stamp - self.stamp) * float(np.linalg.norm(self.velocity))
+        return way or self.length or 1.0
+
+
+def columns(pair: two_view.Pair) -> tuple:
+    """Return a pair as the kernels take it."""
+    return pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal
+
+
+def _covariance(A: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return the covariance of (w, t / |t|) by the information about (w, t)."""
+    length = max(float(np.linalg.norm(t)), 1e-12)
+    D = np.eye(6)
+    D[3:, 3:] = (np.eye(3) - np.outer(t, t) / length**2) / length
+    return D @ np.linalg.pinv(A, rcond=1e-12, hermitian=True) @ D.T
