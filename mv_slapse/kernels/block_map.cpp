@@ -110,14 +110,17 @@ class View {
       for (int c = std::max(column - MARGIN, 0); c <= std::min(column + MARGIN, columns_ - 1); ++c)
         for (int i = start_[r * columns_ + c]; i < start_[r * columns_ + c + 1]; ++i) {
           const double dx = items_[i].x - x, dy = items_[i].y - y, square = dx * dx + dy * dy;
-          if (square < REACH * REACH) out.emplace_back(square, &items_[i]);
+          if (!(square < REACH * REACH)) continue;
+          // Sorted as they come: there are a dozen, and what comes first stays first.
+          if (out.size() < static_cast<std::size_t>(most))
+            out.emplace_back(square, &items_[i]);
+          else if (square < out.back().first)
+            out.back() = {square, &items_[i]};
+          else
+            continue;
+          for (std::size_t k = out.size() - 1; k > 0 && out[k].first < out[k - 1].first; --k)
+            std::swap(out[k], out[k - 1]);
         }
-    const auto nearer = [](const auto& a, const auto& b) {
-      return a.first < b.first || (a.first == b.first && a.second < b.second);
-    };
-    const auto kept = std::min<std::size_t>(out.size(), most);
-    std::partial_sort(out.begin(), out.begin() + kept, out.end(), nearer);
-    out.resize(kept);
   }
 
  private:
@@ -208,17 +211,20 @@ struct Fit {  // what a pair's blocks and the map tell of its motion
   double length = 0;  // information about the log of the way alone
 };
 
+constexpr std::size_t EVERY = 3;  // of the blocks, by which starts are judged
+
 struct FitPolicy {
   double relief;  // of a surface between the points of the map, as a share of depth
   double weak;    // standard deviation of a depth that is not known, over the usual one
   double usual;   // inverse depth
 };
 
+// What every ``step``-th block tells; a cost alone where no step is to be made by it.
 Fit terms(const PairArrays& pair, const std::vector<Known>& known, const TwoView& view,
-          double width, const FitPolicy& is) {
+          double width, const FitPolicy& is, std::size_t step = 1) {
   Fit out;
   const Vec3& t = view.t;
-  for (std::size_t i = 0; i < pair.size(); ++i) {
+  for (std::size_t i = 0; i < pair.size(); i += step) {
     const Vec3 a = view.R * Vec3{pair.rays_prev(i, 0), pair.rays_prev(i, 1), 1};
     const bool told = known[i].any();
     const double rho = told ? known[i].rho : is.usual;
@@ -255,6 +261,7 @@ Fit terms(const PairArrays& pair, const std::vector<Known>& known, const TwoView
     const double softness = 1 / (width * width);
     const double weight = 1 / ((1 + error * softness) * (1 + error * softness) * noise);
     out.cost += error / (1 + error * softness);
+    if (step > 1) continue;
     const Vec3 du{view.fx / z, 0, -view.fx * u / z}, dv{0, view.fy / z, -view.fy * v / z};
     const Vec3 wu = cross(a, du), wv = cross(a, dv);
     double U[6], V[6], G[6];
@@ -295,7 +302,7 @@ py::tuple fit_to_map(const py::tuple& pair_, const py::object& known_, const py:
   for (py::ssize_t k = 0; k < starts.size(); ++k) {
     TwoView trial{{}, {starts(k, 9), starts(k, 10), starts(k, 11)}, focal[0], focal[1]};
     std::copy_n(&starts[12 * k], 9, trial.R.begin());
-    const double cost = terms(pair, known, trial, widths[1], how).cost;
+    const double cost = terms(pair, known, trial, widths[1], how, EVERY).cost;
     if (cost < least) least = cost, view = trial;
   }
   Fit now;
@@ -309,11 +316,11 @@ py::tuple fit_to_map(const py::tuple& pair_, const py::object& known_, const py:
     cholesky_solve(L, 6, step);
     view.R = rotation_exp({step[0], step[1], step[2]}) * view.R;
     view.t = view.t + Vec3{step[3], step[4], step[5]};
-    if (k > 3 && norm({step[0], step[1], step[2]}) < 1e-6 &&
-        norm({step[3], step[4], step[5]}) < 1e-4 * norm(view.t))
+    // Hundredths of what a pair knows of its motion.
+    if (k > 2 && norm({step[0], step[1], step[2]}) < 1e-5 &&
+        norm({step[3], step[4], step[5]}) < 3e-4 * norm(view.t))
       break;
   }
-  now = terms(pair, known, view, widths[widths.size() - 1], how);
   Out<double> A({6, 6});
   std::copy_n(now.A, 36, A.data());
   return py::make_tuple(matrix_of(view.R, {3, 3}), matrix_of(view.t, {3}), A.array(), now.length,
@@ -406,7 +413,10 @@ py::array_t<double> fuse_map(const py::object& points_, const py::tuple& pair_,
   const double worst = 1.5 * middle_of(distances);
   const double gate = policy(is, "gate"), least = policy(is, "least_gain"),
                sure = policy(is, "sure"), doubt = policy(is, "doubt");
-  std::vector<std::vector<int>> members(first.size());
+  std::vector<int> best(first.size(), -1);  // the surest point of each macroblock: it stays alone
+  const auto unsure = [&](int k) {
+    return points[k].variance / std::max(points[k].rho * points[k].rho, 1e-24);
+  };
   std::vector<char> kept(points.size(), 1);
   for (std::size_t k = 0; k < points.size(); ++k) {
     Point& p = points[k];
@@ -430,24 +440,17 @@ py::array_t<double> fuse_map(const py::object& points_, const py::tuple& pair_,
         p.variance *= doubt;
       }
     }
-    if (std::sqrt(p.variance) < worst)
-      members[cell].push_back(static_cast<int>(k));
-    else
+    const int other = best[cell], own_number = static_cast<int>(k);
+    if (!(std::sqrt(p.variance) < worst) || (other >= 0 && unsure(other) <= unsure(own_number))) {
       kept[k] = 0;
+    } else {
+      if (other >= 0) kept[other] = 0;
+      best[cell] = own_number;
+    }
   }
-  const auto most = static_cast<std::size_t>(policy(is, "most_in_one"));
   std::vector<Point> fresh;
   for (std::size_t cell = 0; cell < first.size(); ++cell) {
-    auto& here = members[cell];
-    if (here.size() > most) {
-      std::sort(here.begin(), here.end(), [&](int a, int b) {
-        const double one = points[a].variance / std::max(points[a].rho * points[a].rho, 1e-24),
-                     two = points[b].variance / std::max(points[b].rho * points[b].rho, 1e-24);
-        return one < two || (one == two && a < b);
-      });
-      for (std::size_t j = most; j < here.size(); ++j) kept[here[j]] = 0;
-    }
-    if (!here.empty() || first[cell] < 0) continue;
+    if (best[cell] >= 0 || first[cell] < 0) continue;
     const Seen& one = seen[first[cell]];
     if (!(one.sigma < typical && one.rho > -3 * one.sigma)) continue;
     const Vec3 ray{pair.rays_cur(first[cell], 0), pair.rays_cur(first[cell], 1), 1};

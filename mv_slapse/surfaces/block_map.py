@@ -17,7 +17,7 @@ from mv_slapse.motion.estimate import MotionFit
 import numpy as np
 
 # Of the kernel [sigma] in each step; the second judges the starts.
-WIDTHS = np.array((8.0, 4.0) + 10 * (2.5,))
+WIDTHS = np.array((8.0, 4.0) + 6 * (2.5,))
 SURE_START = 0.3  # error of a pair's own depth, as a share, with which it tells a first length
 LEAST_KNOWN = 20  # blocks with a depth; fewer cannot tell a length from their outliers
 
@@ -35,7 +35,7 @@ POLICY = {
     'least_gain': 0.15, 'sure': 0.2,  # of a depth that a pair knows to that share
     'doubt': 4.0,  # growth of the variance of what is contradicted, until it is replaced
     'first_relief': 0.03,  # share by which a first depth errs beside its vector
-    'most_in_one': 1, 'most': 4000}  # points in a macroblock, and in all
+    'most': 4000}  # points in all
 
 
 @dataclass(frozen=True)
@@ -187,4 +187,5 @@ def _covariance(A: np.ndarray, t: np.ndarray) -> np.ndarray:
     length = max(float(np.linalg.norm(t)), 1e-12)
     D = np.eye(6)
     D[3:, 3:] = (np.eye(3) - np.outer(t, t) / length**2) / length
-    return D @ np.linalg.pinv(A, rcond=1e-12, hermitian=True) @ D.T
+    # What no block tells is left wide open, yet finite.
+    return D @ np.linalg.inv(A + 1e-12 * np.trace(A) * np.eye(6)) @ D.T

@@ -97,9 +97,9 @@ def fused(points, pair, known, R, t):
     fresh = []
     for c in range(WIDTH * HEIGHT // 256):
         here = np.flatnonzero(kept & (cell == c))
-        if len(here) > POLICY['most_in_one']:
+        if len(here) > 1:
             order = np.argsort(points[here, 4] / points[here, 3]**2, kind='stable')
-            kept[here[order[POLICY['most_in_one']:]]] = False
+            kept[here[order[1:]]] = False
         i = first.get(c)
         if len(here) or i is None or not (sigma[i] < typical and rho[i] > -3 * sigma[i]):
             continue

@@ -35,6 +35,15 @@ def test_from_cartesian_undoes_to_cartesian_at_any_scale_of_w(rng):
     np.testing.assert_allclose(om.from_cartesian(cartesian)[0], mu)
 
 
+def test_a_surface_may_turn_by_so_much_in_a_time(rng):
+    still = om.CameraStep(np.eye(3), np.zeros(3), DT, np.zeros(3), np.zeros((3, 3)))
+    mu = np.r_[random_state(rng)[:3], np.zeros(5)]
+    _, _, Q = om.predict(mu, still, np.zeros(3), np.zeros((3, 3)), 0.0)
+    expected = np.zeros((om.SIZE, om.SIZE))
+    expected[om.SLOPE, om.SLOPE] = np.eye(2) * om.SLOPE_NOISE**2 * DT
+    np.testing.assert_allclose(Q, expected, atol=1e-12)
+
+
 def test_plane_holds_the_centre(rng):
     mu = random_state(rng)
     assert om.plane(mu) @ om.to_cartesian(mu)[0][:3] == pytest.approx(-1)
