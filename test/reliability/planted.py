@@ -89,8 +89,7 @@ PLANTED = tuple((f'mv_slapse/{path}', old, new, tests) for path, old, new, tests
     ('storage/tum.py', 'if not abs(seconds) <= LAST_SECOND:', 'if False:', TUM),
     ('storage/tum.py', 'q = -q if q[3] < 0 else q', 'q = q', TUM),
     ('obstacles/motion_model.py', 'return -to_cartesian', 'return to_cartesian', OBSTACLE),
-    ('obstacles/motion_model.py', 'MANOEUVRE_TIME, SLOPE_NOISE)', 'SLOPE_NOISE, MANOEUVRE_TIME)',
-     OBSTACLE),
+    ('obstacles/motion_model.py', '/ np.exp(mu[2])', '/ np.exp(-mu[2])', OBSTACLE),
     ('obstacles/motion_model.py', 'scene_covariance, nearer)', 'scene_covariance, 0.0)', OBSTACLE),
     ('geometry/epipolar.py', 'return y / y[:, 2:]', 'return y', GEOMETRY),
 ))
