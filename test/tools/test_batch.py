@@ -144,15 +144,20 @@ def _lost_after_one(process):
     return run_all
 
 
+def _hears_ctrl_c():
+    # A shell's background job, such as a test run may be, starts with it ignored.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_what_is_interrupted_goes_on(table, tmp_path):
     out = tmp_path / 'out'
     command = [sys.executable, '-m', 'mv_slapse', 'batch', str(table), '-o', str(out),
                '--workers', '1', '--no-report',
                '--sweep', 'extraction.seed=' + ','.join(map(str, range(20)))]
+    paths = str(Path(__file__).resolve().parents[2]), os.environ.get('PYTHONPATH', '')
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-                               text=True, env={**os.environ, 'PYTHONPATH': os.pathsep.join(
-                                   [str(Path(__file__).resolve().parents[2]),
-                                    os.environ.get('PYTHONPATH', '')])})
+                               text=True, preexec_fn=_hears_ctrl_c,
+                               env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)})
     end = time.monotonic() + 120
     while not list(out.glob('all,seed=*[0-9]/row.json')):
         assert process.poll() is None
