@@ -69,7 +69,8 @@ REAL = {'kitti00': (40, 1.65), 'parking': (60, 0.0)}  # frames measured, height 
 PARTS = {
     'first motion': 'mv_slapse.extraction.extractor:PlaneExtractor._first_motion',
     'evidence': 'mv_slapse.extraction.extractor:PlaneExtractor._observed',
-    'baseline ratio': 'mv_slapse.extraction.extractor:PlaneExtractor._ratio',
+    'motion by the map': 'mv_slapse.surfaces.block_map:BlockMap.measured',
+    'map': 'mv_slapse.extraction.extractor:PlaneExtractor._remember_map',
     'ground': 'mv_slapse.extraction.extractor:PlaneExtractor._survey',
     'planes': 'mv_slapse.surfaces.plane_search:stationary_planes',
     'movers': 'mv_slapse.movers.regions:with_moving_planes',

@@ -114,7 +114,7 @@ def measure(name: str, frames: int, folder: Path) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure each size and print the table."""
-    parser = argparse.ArgumentParser(prog='nodes.py', description=__doc__,
+    parser = argparse.ArgumentParser(prog='over_dds.py', description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--frames', type=int, default=300, help='(default: %(default)s)')
     parser.add_argument('--only', default='', help='only sizes whose name holds this text')
