@@ -28,6 +28,11 @@ def check_codec(codec: str):
                             f'them for H.264, MPEG-1, MPEG-2 and MPEG-4 part 2 only; {CURE}')
 
 
+def codec_of(packet: Packet) -> str:
+    """Return the codec of a packet, by its bytes where these are a stream of their own."""
+    return packet.codec if packet.extradata else bitstream.codec_of(packet.data, packet.codec)
+
+
 class FrameDecoder:
     """Decodes packets, one after another, and reads the vectors of each picture."""
 
@@ -81,7 +86,7 @@ class FrameDecoder:
         return (self._decode(numbered(self._last_key, 0)) if echo else []) + self._decode(None)
 
     def _open(self, packet: Packet):
-        codec = packet.codec if packet.extradata else bitstream.codec_of(packet.data, packet.codec)
+        codec = codec_of(packet)
         if {codec, packet.codec} == {'mpeg1video', 'mpeg2video'}:
             codec = packet.codec
         check_codec(codec)

@@ -142,6 +142,7 @@ class SceneMap:
     def scale(self, factor: float, place: np.ndarray):
         """Multiply all lengths by a factor, so that a place (3,) in {W} stays."""
         def moved(outline):
+            """Return an outline (M, 3) scaled about the place."""
             return place + factor * (outline - place)
 
         self._sightings = {

@@ -14,6 +14,7 @@ import re
 from typing import NamedTuple
 
 import cv2
+from mv_slapse.codec.frames import MAX_PIXELS
 from mv_slapse.codec.packet import Picture
 from mv_slapse.errors import UnusableInput
 from mv_slapse.picture_size import size_of_still
@@ -24,7 +25,6 @@ SUFFIXES = ('.png', '.jpg', '.jpeg', '.pgm', '.ppm', '.bmp', '.tif', '.tiff', '.
 # The camera of a data set's folder, where it is named as a whole: the first that there is.
 CAMERAS = ('mav0/cam0', 'image_0', 'image_00', 'image_2', 'image_02', 'cam0')
 PICTURES = ('data', 'rgb')
-MAX_PIXELS = 64_000_000  # as the decoder has it
 NUMBER = re.compile(r'%0?\d*d')
 
 

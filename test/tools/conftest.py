@@ -8,6 +8,7 @@ from mv_slapse.config import SceneSettings, Settings
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.simulation.truth import film
 from mv_slapse.storage.camera_info import read_camera, write_camera
+from mv_slapse.tools import main as command_line
 from mv_slapse.tools.run import run
 import pytest
 
@@ -36,3 +37,13 @@ def clip(tmp_path_factory) -> Clip:
     run(made.video, read_camera(made.camera),
         Settings(scene=SceneSettings(camera_height=SETTINGS.camera_height)), made.out)
     return made
+
+
+@pytest.fixture
+def call(capsys):
+    """Run the command line; return exit code, standard output and error."""
+    def called(*arguments):
+        code = command_line.main([str(argument) for argument in arguments])
+        return code, *capsys.readouterr()
+
+    return called

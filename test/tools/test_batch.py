@@ -12,20 +12,9 @@ import sys
 import time
 
 from mv_slapse.batch import page
-from mv_slapse.tools import main as command_line
 import pytest
 
 pytest.importorskip('distributed')
-
-
-@pytest.fixture
-def call(capsys):
-    """Run the command line; return exit code, standard output and error."""
-    def called(*arguments):
-        code = command_line.main([str(argument) for argument in arguments])
-        return code, *capsys.readouterr()
-
-    return called
 
 
 @pytest.fixture

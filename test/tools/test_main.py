@@ -23,16 +23,6 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
 """
 
 
-@pytest.fixture
-def call(capsys):
-    """Run the command line; return exit code, standard output and error."""
-    def called(*arguments):
-        code = command_line.main([str(argument) for argument in arguments])
-        return code, *capsys.readouterr()
-
-    return called
-
-
 def test_run_and_eval_work_together(call, clip, tmp_path):
     code, out, err = call('run', clip.video, '--camera', clip.camera, '--camera-height', 1.65,
                           '-o', tmp_path, '--max-frames', 13, '--json')

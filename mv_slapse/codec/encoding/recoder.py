@@ -1,9 +1,8 @@
 """Video whose decoder exports no motion vectors, decoded and encoded again in memory."""
 
 import av
-from mv_slapse.codec import bitstream
 from mv_slapse.codec.encoding.encoder import encoding_of, ImageEncoder
-from mv_slapse.codec.frames import MAX_PIXELS, numbered, WITH_VECTORS
+from mv_slapse.codec.frames import codec_of, MAX_PIXELS, numbered, WITH_VECTORS
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.config import EncoderSettings
 from mv_slapse.errors import UnusableInput
@@ -110,9 +109,3 @@ class Recoder:
     def _encode(self, pictures: list[tuple[av.VideoFrame, int]]) -> list[Packet]:
         return [packet for frame, stamp in pictures
                 for packet in self._encoder.feed_frame(frame, stamp)]
-
-
-def codec_of(packet: Packet) -> str:
-    """Return the codec of a packet, by its bytes where these are a stream of their own."""
-    return (packet.codec if packet.extradata
-            else bitstream.codec_of(packet.data, packet.codec))
