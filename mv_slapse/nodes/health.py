@@ -9,6 +9,7 @@ from mv_slapse.nodes.states import CONDITIONS, Kind
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 SILENCE = 3.0  # [s] without input or output before it is reported
@@ -49,6 +50,7 @@ class Health:
         self._values: dict[str, str] = {}
         self._fresh: dict[str, tuple[str, float]] = {}
         self._watches: dict[str, _Watch] = {}
+        self._subscriptions: list[Subscription] = []
         self._worked = -float('inf')
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         every(node, 1.0, self.publish)
@@ -108,6 +110,10 @@ class Health:
         """Say nothing more when a topic is silent: what it had to say is known."""
         self._watches.pop(topic, None)
 
+    def joined(self, subscription: Subscription):
+        """Show to how many publishers the middleware has connected a subscription."""
+        self._subscriptions.append(subscription)
+
     def arrived(self, topic: str):
         """Note that something arrived on a topic."""
         if topic in self._watches:
@@ -124,7 +130,7 @@ class Health:
         others = {entry.key: entry.message for entry in found if entry not in worst}
         values = {'state': kind.name.lower(), 'condition': worst[0].key if worst else 'working',
                   **self._values, **self._fresh_values(),
-                  **{k: str(v) for k, v in self._counts.items()}, **others}
+                  **{k: str(v) for k, v in self._counts.items()}, **self._connected(), **others}
         return DiagnosticStatus(
             level=LEVELS[kind], name=self._node.get_fully_qualified_name().lstrip('/'),
             hardware_id='mv_slapse', message=_text(kind, worst),
@@ -163,6 +169,10 @@ class Health:
         now = time.monotonic()
         return {name: value if now - at <= SILENCE else f'unknown ({value} {now - at:.0f} s ago)'
                 for name, (value, at) in self._fresh.items()}
+
+    def _connected(self) -> dict[str, str]:
+        return {f'publishers of {joined.topic_name}': str(joined.get_publisher_count())
+                for joined in self._subscriptions}
 
     def _silences(self) -> list[_Entered]:
         now = time.monotonic()

@@ -29,7 +29,8 @@ frame that told them.
 Counters: `messages on TOPIC`, `rejected on TOPIC` (messages that say what cannot be), `unusable on
 TOPIC`, `lost on TOPIC` (by the middleware), `faults`, `resets`, `key frame pairs`, `broken pairs`,
 `packets dropped by overload`, `segments dropped by overload`, `gaps`, `observations dropped`,
-`covariances repaired` (by the filter, where rounding had spoilt one).
+`covariances repaired` (by the filter, where rounding had spoilt one). `publishers of TOPIC` is how
+many the middleware has connected: 0 where a publisher is missing or its QoS does not fit.
 """
 COLUMNS = ('Condition', 'Nodes', 'Meaning', 'Next step')
 

@@ -1,6 +1,6 @@
 """Replay a bag into ROS topics as raw CDR, at the rate at which it was recorded.
 
-python player.py BAG [RATE]
+python player.py BAG [RATE [CAMERAS]]   CAMERAS is how many nodes need the calibration
 """
 
 from importlib import import_module
@@ -21,14 +21,16 @@ def message_type(name: str) -> type:
     return getattr(import_module(f'{package}.msg'), message)
 
 
-def play(node, bag: Path, rate: float) -> int:
+def play(node, bag: Path, rate: float, cameras: int = 1) -> int:
     """Publish what the bag holds for which somebody listens; return how many messages."""
     with AnyReader([bag]) as reader:
         publishers = {c.topic: node.create_publisher(message_type(c.msgtype), c.topic,
                                                      QoSProfile(depth=100))
                       for c in reader.connections}
-        wanted = [p for topic, p in publishers.items() if topic != '/ground_truth']
-        wait(lambda: all(p.get_subscription_count() for p in wanted), CONNECTED)
+        # The calibration comes once a second: who misses it has missed half of a short bag.
+        wanted = [(p, cameras if 'camera_info' in topic else 1)
+                  for topic, p in publishers.items() if topic != '/ground_truth']
+        wait(lambda: all(p.get_subscription_count() >= n for p, n in wanted), CONNECTED)
         begin, first, n = time.monotonic(), reader.start_time, 0
         for connection, stamp, data in reader.messages():
             time.sleep(max(0.0, begin + (stamp - first) / 1e9 / rate - time.monotonic()))
@@ -49,7 +51,7 @@ def wait(until, timeout: float):
 def main():
     rclpy.init()
     node = rclpy.create_node('bag_player')
-    print(play(node, Path(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else 1.0))
+    print(play(node, Path(sys.argv[1]), *map(float, sys.argv[2:])))
     node.destroy_node()
     rclpy.shutdown()
 

@@ -5,9 +5,11 @@ from functools import partial
 from pathlib import Path
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray
 from mv_slapse.storage.messages import typestore
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import StoragePlugin, Writer
 from system.player import message_type
 
@@ -21,14 +23,16 @@ class Recorder:
         """Subscribe to ``topics``, name to type."""
         self.counts = Counter()
         self.last = time.monotonic()
+        self.nodes = {}  # what each says on /diagnostics, by name
         self.node = rclpy.create_node('recorder')
+        self._subscriptions = []
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         for topic, kind in topics.items():
             connection = self._writer.add_connection(topic, kind, typestore=typestore())
-            self.node.create_subscription(
+            self._subscriptions.append(self.node.create_subscription(
                 message_type(kind), topic, partial(self._write, connection),
-                LATCHED if topic in latched else QoSProfile(depth=1000), raw=True)
+                LATCHED if topic in latched else QoSProfile(depth=1000), raw=True))
 
     def __enter__(self):
         return self
@@ -44,6 +48,10 @@ class Recorder:
             rclpy.spin_once(self.node, timeout_sec=0.1)
         return bool(until())
 
+    def finds_all(self) -> bool:
+        """Return whether each topic has a publisher that the recorder is connected to."""
+        return all(subscription.get_publisher_count() for subscription in self._subscriptions)
+
     def silent_for(self, seconds: float) -> bool:
         """Return whether nothing has come for so long."""
         return time.monotonic() - self.last > seconds
@@ -51,6 +59,9 @@ class Recorder:
     def _write(self, connection, data: bytes, info: dict):
         # by the time of sending: the order in which topics are read here says nothing
         self._writer.write(connection, info['source_timestamp'], data)
-        if connection.topic != '/diagnostics':
+        if connection.topic == '/diagnostics':
+            for status in deserialize_message(data, DiagnosticArray).status:
+                self.nodes[status.name] = {item.key: item.value for item in status.values}
+        else:
             self.last = time.monotonic()
         self.counts[connection.topic] += 1

@@ -53,8 +53,12 @@ TOPICS = {
 LATCHED = ('/planes/map', '/planes/map_markers')
 REMAPPED = ('video:=/camera/image/ffmpeg', 'camera_info:=/camera/camera_info')
 FOUR = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker')
-#: who must be connected before the first picture, the recorder included
-READERS = {'/correspondences': 2, '/planes/observations': 3, '/odometry': 2, '/planes/map': 2}
+#: what must be connected before the first picture: a node and what it reads from another
+READ = {('plane_extraction', '/correspondences'), ('slam', '/planes/observations'),
+        ('obstacle_tracker', '/planes/observations'), ('obstacle_tracker', '/odometry'),
+        ('obstacle_tracker', '/planes/map')}
+#: that read the calibration
+CAMERAS = {'decoder', 'plane_extraction', 'all_in_one'}
 
 
 class Drive(NamedTuple):
@@ -113,19 +117,14 @@ def running(names, folder):
         endings.check(code, log.read_text())
 
 
-def replay(bag, names, readers, folder) -> BagReader:
+def replay(bag, names, folder) -> BagReader:
     """Play a bag into nodes and return what they published."""
     rclpy.init()
     try:
         with Recorder(folder / 'recorded', TOPICS, LATCHED) as recorder, running(names, folder):
-            node = recorder.node
-            # The recorder's own subscriptions count as well: that nodes are up shows only in
-            # their publishers. Matching takes up to half a second more on a busy machine.
-            assert recorder.spin(lambda: all(
-                node.count_subscribers(topic) >= n and node.count_publishers(topic)
-                for topic, n in readers.items()), 30)
-            recorder.spin(lambda: False, 1.5)
-            player = subprocess.Popen([sys.executable, ROOT / 'test/system/player.py', bag])
+            assert recorder.spin(lambda: connected(recorder, names), 30), recorder.nodes
+            command = [sys.executable, ROOT / 'test/system/player.py', bag, '1.0']
+            player = subprocess.Popen([*command, str(len(CAMERAS & {*names}))])
             assert recorder.spin(lambda: player.poll() is not None, 90)
             assert player.returncode == 0
             assert recorder.spin(lambda: recorder.silent_for(3), 60)
@@ -134,15 +133,22 @@ def replay(bag, names, readers, folder) -> BagReader:
     return BagReader(folder / 'recorded')
 
 
+def connected(recorder, names) -> bool:
+    """Return whether the nodes have found each other, as they say, and the recorder them."""
+    wanted = {(name, topic) for name, topic in READ if name in names}
+    return (recorder.finds_all() and {*recorder.nodes} >= {*names}
+            and all(recorder.nodes[name].get(f'publishers of {topic}', '0') != '0'
+                    for name, topic in wanted))
+
+
 @pytest.fixture(scope='module')
 def recorded(drive, ros_domain, tmp_path_factory):
-    return replay(drive.bag, FOUR, READERS, tmp_path_factory.mktemp('four'))
+    return replay(drive.bag, FOUR, tmp_path_factory.mktemp('four'))
 
 
 @pytest.fixture(scope='module')
 def recorded_in_one(drive, ros_domain, tmp_path_factory):
-    readers = {'/correspondences': 1, '/odometry': 1}
-    return replay(drive.bag, ('all_in_one',), readers, tmp_path_factory.mktemp('one'))
+    return replay(drive.bag, ('all_in_one',), tmp_path_factory.mktemp('one'))
 
 
 def messages(bag: BagReader, topic: str) -> dict:
