@@ -9,7 +9,6 @@ from mv_slapse.nodes.states import CONDITIONS, Kind
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
-from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 SILENCE = 3.0  # [s] without input or output before it is reported
@@ -18,6 +17,7 @@ LEVELS = {Kind.FAILED: DiagnosticStatus.ERROR, Kind.WAITING: DiagnosticStatus.WA
 ORDER = {key: place for place, key in enumerate(CONDITIONS)}
 #: what is said as long as nothing has come out, and taken back by the first output
 HINDERS = ('fault', 'unusable', 'undecodable', 'no_key_frame', 'rejected')
+OWN = ('/clock', '/parameter_events')  # topics that each node has
 
 
 def every(node: Node, period: float, callback: Callable[[], None]) -> Timer:
@@ -50,7 +50,6 @@ class Health:
         self._values: dict[str, str] = {}
         self._fresh: dict[str, tuple[str, float]] = {}
         self._watches: dict[str, _Watch] = {}
-        self._subscriptions: list[Subscription] = []
         self._worked = -float('inf')
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         every(node, 1.0, self.publish)
@@ -110,10 +109,6 @@ class Health:
         """Say nothing more when a topic is silent: what it had to say is known."""
         self._watches.pop(topic, None)
 
-    def joined(self, subscription: Subscription):
-        """Show to how many publishers the middleware has connected a subscription."""
-        self._subscriptions.append(subscription)
-
     def arrived(self, topic: str):
         """Note that something arrived on a topic."""
         if topic in self._watches:
@@ -171,8 +166,12 @@ class Health:
                 for name, (value, at) in self._fresh.items()}
 
     def _connected(self) -> dict[str, str]:
-        return {f'publishers of {joined.topic_name}': str(joined.get_publisher_count())
-                for joined in self._subscriptions}
+        """Return how many publishers the middleware has connected, of each topic."""
+        found = {}
+        for one in self._node.subscriptions:
+            name = f'publishers of {one.topic_name}'
+            found[name] = max(found.get(name, 0), one.get_publisher_count())
+        return {name: str(n) for name, n in found.items() if not name.endswith(OWN)}
 
     def _silences(self) -> list[_Entered]:
         now = time.monotonic()

@@ -33,10 +33,8 @@ def subscribe(node: Node, message_type: type, topic: str, callback: Callable[...
         lost(node, name, event.total_count_change)
 
     events = SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost)
-    subscription = node.create_subscription(message_type, topic, callback, profile,
-                                            event_callbacks=events, raw=True)
-    node.health.joined(subscription)
-    return subscription
+    return node.create_subscription(message_type, topic, callback, profile,
+                                    event_callbacks=events, raw=True)
 
 
 def lost(node: Node, topic: str, n: int):
