@@ -32,6 +32,7 @@ BELOW = {
     'config': {'errors'},
     'kernels': {'errors'},
     'geometry': {*BASE, 'kernels'},
+    'drawing': LOW,
     'codec': LOW,
     'motion': LOW,
     'surfaces': {*LOW, 'motion'},
@@ -45,7 +46,7 @@ BELOW = {
     'batch': {*LOW, 'evaluation', 'storage', 'tools'},
     'storage': {*LOW, 'codec', 'fields', 'picture_size', 'planner_fields', 'video_messages',
                 'view_fields'},
-    'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'fields', 'field_values',
+    'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'drawing', 'fields', 'field_values',
               'message_checks', 'planner_fields', 'video_messages', 'view_fields'},
 }
 

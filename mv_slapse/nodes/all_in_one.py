@@ -121,6 +121,9 @@ class AllInOneNode(Shell):
         self._scene.publish(step.scene, frames, self._placement)
         self._obstacles.publish(step.scene.stamp, list(step.obstacles), step.scene.scale_status,
                                 frames)
+        self.attempt('image_overlay', self._decoding.overlay.show, step.extraction,
+                     step.obstacles, step.scene.scale_status, frames.camera,
+                     recover=lambda: None)
 
 
 def main(args: list[str] | None = None) -> int:
