@@ -32,6 +32,9 @@ BELOW = {
     'config': {'errors'},
     'kernels': {'errors'},
     'geometry': {*BASE, 'kernels'},
+    'drawing': LOW,
+    'frame_change': {*LOW, 'pipeline'},
+    'known_map': LOW,
     'codec': LOW,
     'motion': LOW,
     'surfaces': {*LOW, 'motion'},
@@ -43,10 +46,11 @@ BELOW = {
     'evaluation': {*LOW, 'storage'},
     'pipeline': {*LOW, *ROOMS},
     'batch': {*LOW, 'evaluation', 'storage', 'tools'},
-    'storage': {*LOW, 'codec', 'fields', 'picture_size', 'planner_fields', 'video_messages',
-                'view_fields'},
-    'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'fields', 'field_values',
-              'message_checks', 'planner_fields', 'video_messages', 'view_fields'},
+    'storage': {*LOW, 'codec', 'fields', 'known_map', 'picture_size', 'planner_fields',
+                'video_messages', 'view_fields'},
+    'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'drawing', 'fields', 'field_values',
+              'frame_change', 'known_map', 'message_checks', 'planner_fields', 'video_messages',
+              'view_fields'},
 }
 
 

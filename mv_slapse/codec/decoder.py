@@ -1,5 +1,6 @@
 """Packets in, correspondences out: the decoder as one object with one verb."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from mv_slapse.codec.bridging import can_bridge, is_untrue, search
@@ -25,9 +26,14 @@ RIGHT = 0.05, 0.99  # bounds of p, where Lemma 2 still has a value
 class CorrespondenceDecoder:
     """Turns coded video into merged motion vectors between key frames."""
 
-    def __init__(self, settings: DecoderSettings, camera: Camera | None = None):
-        """Hold the settings; the first packet opens the codec."""
-        self._settings = settings
+    def __init__(self, settings: DecoderSettings, camera: Camera | None = None,
+                 on_picture: Callable[[int, np.ndarray], None] = lambda *_: None):
+        """Hold the settings; the first packet opens the codec.
+
+        ``on_picture`` is given stamp [ns] and luma (H, W) uint8 of each I and P picture, unless
+        ``bridge_intra`` leaves the pictures out.
+        """
+        self._settings, self._on_picture = settings, on_picture
         self._chainer = Chainer(settings, camera)
         self._frames = FrameDecoder(with_luma=settings.bridge_intra)
         self._segments = SegmentBuilder()
@@ -47,6 +53,9 @@ class CorrespondenceDecoder:
         return self._join(self._frames.flush()) + self._chainer.flush()
 
     def _join(self, frames: list[FrameVectors]) -> list[Correspondences]:
+        for frame in frames:
+            if frame.luma is not None:
+                self._on_picture(frame.stamp, frame.luma)
         segments = [self._segments.add(frame) for frame in frames]
         return [ready for segment in segments if segment
                 for pair in self._pairs(segment) for ready in self._chainer.add(pair)]

@@ -17,6 +17,7 @@ from mv_slapse.nodes.extrinsics import Extrinsics
 from mv_slapse.nodes.gate import Gate
 from mv_slapse.nodes.handovers import Handovers
 from mv_slapse.nodes.health import every
+from mv_slapse.nodes.known_place import KnownPlace
 from mv_slapse.nodes.obstacle_output import ObstacleOutput
 from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.qos import RELIABLE
@@ -48,13 +49,14 @@ class AllInOneNode(Shell):
         self._scene, self._obstacles = SceneOutput(self), ObstacleOutput(self)
         self._handovers, self._speeds = Handovers(self, None), Speeds(self)
         self._placement = Placement(self)
+        self._known = KnownPlace(self, self._placement)
         self._gate = Gate(self._is_ready, self._step, HELD)
         every(self, 0.1, lambda: self.attempt('video', self._gate.drain))
         self._decoding = Decoding(self, self._take, self._on_camera)
 
     def restart(self):
         """Begin a new trajectory and a new map."""
-        for part in (self._placement, self._scene, self._archive):
+        for part in (self._placement, self._scene, self._archive, self._known):
             part.restart()
         self._renew()
 
@@ -103,7 +105,8 @@ class AllInOneNode(Shell):
         if self.latency.is_behind(came):
             record = overload.dropped(record)
         step = self._slapse.step(record, self._speeds.told(record.stamp))
-        frames = self._placement.place(self._extrinsics.frames(frame))
+        frames = self._known.look(
+            step.scene, self._placement.place(self._extrinsics.frames(frame)))
         self._archive.add(step.scene, record.previous_stamp, frames)
         self._publish(step, frames)
         reason = step.extraction.reason
@@ -121,6 +124,9 @@ class AllInOneNode(Shell):
         self._scene.publish(step.scene, frames, self._placement)
         self._obstacles.publish(step.scene.stamp, list(step.obstacles), step.scene.scale_status,
                                 frames)
+        self.attempt('image_overlay', self._decoding.overlay.show, step.extraction,
+                     step.obstacles, step.scene.scale_status, frames.camera,
+                     recover=lambda: None)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -5,8 +5,8 @@ from dataclasses import replace
 import os
 from pathlib import Path
 
+from mv_slapse.frame_change import in_frames
 from mv_slapse.geometry.ros_frames import RosFrames
-from mv_slapse.nodes.frame_change import in_frames
 from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.nodes.settings import SceneOutputSettings
 from mv_slapse.nodes.shell import Shell

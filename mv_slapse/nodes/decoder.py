@@ -5,6 +5,7 @@ from mv_slapse.config import DecoderSettings, EncoderSettings
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.decoding import Decoding
+from mv_slapse.nodes.image_overlay import OverlayTopics
 from mv_slapse.nodes.qos import RELIABLE
 from mv_slapse.nodes.shell import run, Shell
 from mv_slapse.records import Correspondences, SegmentKind
@@ -19,6 +20,7 @@ class DecoderNode(Shell):
         super().__init__('decoder', **kwargs)
         self._publisher = self.create_publisher(CorrespondencesMsg, 'correspondences', RELIABLE)
         self._decoding = Decoding(self, self._publish)
+        self._found = OverlayTopics(self, self._decoding.overlay)
 
     def restart(self):
         """Forget the stream."""

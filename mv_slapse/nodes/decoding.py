@@ -12,6 +12,7 @@ from mv_slapse.geometry.camera import Camera
 from mv_slapse.nodes.camera_input import CameraInput
 from mv_slapse.nodes.gate import Gate
 from mv_slapse.nodes.health import SILENCE
+from mv_slapse.nodes.image_overlay import ImageOverlay
 from mv_slapse.nodes.overload import OVERLOAD
 from mv_slapse.nodes.settings import VideoSettings
 from mv_slapse.nodes.shell import Shell
@@ -27,6 +28,8 @@ PART = 'video'
 class Decoding:
     """Camera, video and decoder; calls ``sink`` with each record and the camera's frame.
 
+    ``overlay`` has the pictures for the topic ``image_overlay``.
+
     Where even decoding is too slow, packets are dropped up to a key picture that is in time, and
     a BROKEN pair stands for them.
     """
@@ -36,6 +39,7 @@ class Decoding:
         """Connect to the topics or the source that the parameters name."""
         self._node, self._sink, self._on_new_camera = node, sink, on_camera
         self._camera: Camera | None = None
+        self.overlay = ImageOverlay(node)
         self._decoder: CorrespondenceDecoder | None = None
         self._frame = ''
         self._begin()
@@ -73,8 +77,8 @@ class Decoding:
     def _renew(self):
         self._recoder = Recoder(self._node.settings[EncoderSettings])
         if self._camera is not None:
-            self._decoder = CorrespondenceDecoder(self._node.settings[DecoderSettings],
-                                                  self._camera)
+            self._decoder = CorrespondenceDecoder(
+                self._node.settings[DecoderSettings], self._camera, self.overlay.add_picture)
 
     def _deliver(self, packet: Packet | Picture, frame: str):
         """Take a packet as it comes; without a camera it waits."""

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from mv_slapse import fields
-from mv_slapse.geometry.ros_frames import Pose, pose_to_odom, RosFrames, skew
+from mv_slapse.geometry.ros_frames import Pose, pose_to_odom, pose_to_world, RosFrames, skew
+from mv_slapse.known_map import about
 from mv_slapse.message_checks import InvalidMessage
 from mv_slapse.nodes.qos import subscribe
 from mv_slapse.nodes.settings import FrameSettings
@@ -33,6 +34,7 @@ class Placement:
     def restart(self):
         """Begin at the origin of odom."""
         self._start = self._anchor = ORIGIN
+        self._is_given = False  # whether somebody has told where it is in odom
         self._moved = ORIGIN  # of the base since the start, without the start
 
     def go_on(self):
@@ -48,7 +50,7 @@ class Placement:
         """Take the pose of a key frame."""
         self._moved = pose_to_odom(
             Pose(scene.R_world_from_cam, scene.t_world_from_cam, scene.pose_covariance),
-            replace(frames, R_odom_from_start=np.eye(3), t_odom_from_start=np.zeros(3)))
+            _unplaced(frames))
 
     def widened(self, covariance: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Return the covariance (6, 6) of a pose with the anchor's own error in it."""
@@ -60,7 +62,18 @@ class Placement:
         """Move the trajectory so that the base is at a pose in odom now."""
         R = pose.R @ self._moved.R.T
         self._start = Pose(R, pose.t - R @ self._moved.t)
-        self._anchor = pose
+        self._anchor, self._is_given = pose, True
+
+    def begin_at(self, known_from_world: Pose, frames: RosFrames):
+        """Move the trajectory so that its {W} lies there in the {W} of odom's origin."""
+        self._start = self._anchor = pose_to_odom(known_from_world, _unplaced(frames))
+        self._is_given = True
+
+    def start(self, frames: RosFrames) -> Pose:
+        """Return where the filter's {W} lies in that of odom's origin, as far as it is known."""
+        start = Pose(self._start.R, self._start.t, self.widened(np.zeros((6, 6)), self._start.t))
+        world = pose_to_world(start, _unplaced(frames))
+        return world if self._is_given else about(world)
 
     def _last(self) -> Pose:
         start, moved = self._start, self._moved
@@ -78,3 +91,8 @@ class Placement:
         self._node.resets += 1
         self._node.health.value('resets', self._node.resets)
         self._node.get_logger().info(f'the pose is set to {self._anchor.t.round(3).tolist()}')
+
+
+def _unplaced(frames: RosFrames) -> RosFrames:
+    """Return the frames of a trajectory that begins at the origin of odom."""
+    return replace(frames, R_odom_from_start=np.eye(3), t_odom_from_start=np.zeros(3))

@@ -97,6 +97,10 @@ class SceneOutputSettings(Checked):
         'robot_localization')
     path_length: int = setting(1000, '-', 'poses kept in the topic "path"', 1, 100000)
     path_period: float = setting(1.0, 's', 'time between two messages on "path"', 0.0, 60.0)
+    map_file: str = setting(
+        '', '-', 'map of an earlier run (map.json, or what ~/save_map wrote), whose frame '
+        'odom_frame becomes where its planes are found again; read at the start and by '
+        '~/load_map; empty: none')
     output_directory: str = setting(
         '', '-', 'where ~/save_map and ~/save_trajectory write; empty: $ROS_HOME/mv_slapse '
         '(~/.ros/mv_slapse)')

@@ -9,6 +9,7 @@ from mv_slapse.nodes.extrinsics import Extrinsics
 from mv_slapse.nodes.gate import Gate
 from mv_slapse.nodes.handovers import Handovers
 from mv_slapse.nodes.health import every
+from mv_slapse.nodes.known_place import KnownPlace
 from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.scene_output import SceneOutput
@@ -32,6 +33,7 @@ class SlamNode(Shell):
         self._output, self._archive = SceneOutput(self), Archive(self)
         self._handovers = Handovers(self, Label.STATIONARY)
         self._speeds, self._placement = Speeds(self), Placement(self)
+        self._known = KnownPlace(self, self._placement)
         self._gate = Gate(self._is_ready, self._step, HELD)
         self.restart()
         every(self, 0.1, lambda: self.attempt(TOPIC, self._gate.drain))
@@ -42,7 +44,7 @@ class SlamNode(Shell):
     def restart(self):
         """Begin a new trajectory and a new map."""
         self._placement.restart()
-        for part in (self._output, self._archive):
+        for part in (self._output, self._archive, self._known):
             part.restart()
         self._renew()
 
@@ -84,6 +86,7 @@ class SlamNode(Shell):
         self._newest = extraction.stamp
         due = self._handovers.due(extraction.stamp - 1, frames)
         scene, given = self._filter.step(extraction, due, self._speeds.told(extraction.stamp))
+        frames = self._known.look(scene, frames)
         self._archive.add(scene, extraction.previous_stamp, frames)
         self._handovers.publish(given, frames)
         self._output.publish(scene, frames, self._placement)

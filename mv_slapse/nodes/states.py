@@ -102,6 +102,9 @@ CONDITIONS: dict[str, Condition] = {
     'no_scale': Condition(
         Kind.DEGRADED, SCENE, 'the scale is not known, lengths have no unit',
         'set scene.camera_height, or publish the speed on wheel_odometry'),
+    'unplaced': Condition(
+        Kind.DEGRADED, SCENE, 'the planes of map_file are not found again, poses are in another '
+        'frame', 'tell on initialpose where it is in that map, or drive on'),
     'clock': Condition(
         Kind.DEGRADED, SCENE, 'wheel_odometry is stamped by another clock and not used',
         'stamp both with one clock'),

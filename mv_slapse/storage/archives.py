@@ -6,13 +6,18 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, IO
 
+from mv_slapse.errors import UnusableInput
 from mv_slapse.geometry.blocks import grid_centres
+from mv_slapse.known_map import KnownMap
 from mv_slapse.records import Extraction, MapPlane, ScaleStatus, SceneEstimate
 from mv_slapse.storage.whole_files import whole, write_text
 import numpy as np
 
 SCHEMA_VERSION = 1
 MOST_PLANES = 10_000  # kept for map.json, about 20 MB; the oldest go first
+LARGEST_MAP = 1 << 26  # bytes
+UNIT = 1e-3  # by which a normal may be none
+FARTHEST = 1e9  # [m or map unit]
 
 
 class LabelArchive:
@@ -97,6 +102,30 @@ def map_content(scene: SceneEstimate | None, planes: Any) -> dict[str, Any]:
         'planes': [_plane_content(plane, plane.id in current) for plane in planes]}
 
 
+def read_map(path: str | Path) -> KnownMap:
+    """Return the map of an earlier run, as ``map.json`` or ``~/save_map`` holds it.
+
+    Raises
+    ------
+    UnusableInput
+        Where it cannot be read, is no such map, or says what cannot be.
+    """
+    try:
+        with Path(path).open('rb') as file:
+            text = file.read(LARGEST_MAP + 1)
+        if len(text) > LARGEST_MAP:
+            raise ValueError(f'it has more than {LARGEST_MAP} bytes')
+        content = json.loads(text)
+        planes = tuple(_plane(entry) for entry in content['planes'][:MOST_PLANES])
+        return KnownMap(planes, content['units'] == 'm')
+    except OSError as error:
+        raise UnusableInput(f'{path} cannot be read: {error.strerror}; give the map.json of a '
+                            'run, or what ~/save_map wrote') from None
+    except (ValueError, TypeError, KeyError, IndexError, RecursionError, OverflowError) as error:
+        raise UnusableInput(f'{path} is no map of mv_slapse ({type(error).__name__}: {error}); '
+                            'give the map.json of a run, or what ~/save_map wrote') from None
+
+
 def write_json(path: str | Path, content: dict[str, Any]):
     """Write a JSON file that is either the old one or whole."""
     write_text(path, json.dumps(content, indent=2) + '\n')
@@ -108,6 +137,26 @@ def _plane_content(plane: MapPlane, is_current: bool) -> dict[str, Any]:
             'first_seen': plane.first_stamp / 1e9, 'last_seen': plane.last_stamp / 1e9,
             'n_observations': int(plane.n_observations), 'is_ground': bool(plane.is_ground),
             'is_current': is_current}
+
+
+def _plane(content: dict[str, Any]) -> MapPlane:
+    normal, depth = _array(content['normal'], (3,)), float(content['depth'])
+    covariance = _array(content['covariance'], (4, 4))
+    outline = _array(content['outline'] or np.zeros((0, 3)), (-1, 3))
+    if abs(np.linalg.norm(normal) - 1) > UNIT or not abs(depth) < FARTHEST:
+        raise ValueError(f'the plane {content["id"]} has no unit normal or no depth')
+    if np.linalg.eigvalsh(covariance + covariance.T).min() < -UNIT * np.trace(covariance):
+        raise ValueError(f'the covariance of the plane {content["id"]} is none')
+    return MapPlane(int(content['id']), normal, depth, covariance, outline,
+                    round(content['first_seen'] * 1e9), round(content['last_seen'] * 1e9),
+                    int(content['n_observations']), 0, bool(content['is_ground']))
+
+
+def _array(values: Any, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.reshape(np.array(values, float), shape)
+    if not np.all(np.abs(array) < FARTHEST):
+        raise ValueError('a number is not finite, or absurdly large')
+    return array
 
 
 def _list(values: np.ndarray) -> list:

@@ -7,7 +7,7 @@ from typing import Any, TextIO
 
 from mv_slapse.errors import MvSlapseError, UnusableOutput, UsageError
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.geometry.ros_frames import Pose, RosFrames
 from mv_slapse.storage import tables, tum
 from mv_slapse.storage.archives import LabelArchive, MapArchive, write_json
 from mv_slapse.storage.message_log import MessageLog, Step, WITH_POSE
@@ -50,6 +50,8 @@ class ResultsWriter:
         self._messages = MessageLog(self.out / 'results.mcap', frames or RosFrames(), camera)
         self._map = MapArchive()
         self._has_origin = self._is_closed = False
+        #: pose of the first key frame's camera
+        self.origin = Pose(np.eye(3), np.zeros(3))
 
     def __enter__(self) -> 'ResultsWriter':
         """Return itself."""
@@ -123,8 +125,8 @@ class ResultsWriter:
         scene, rows = step.scene, []
         if not self._has_origin:
             self._has_origin = True
-            rows.append(tum.format_row(step.correspondences.previous_stamp, np.eye(3),
-                                       np.zeros(3)))
+            rows.append(tum.format_row(step.correspondences.previous_stamp, self.origin.R,
+                                       self.origin.t))
         rows.append(tum.format_row(scene.stamp, scene.R_world_from_cam, scene.t_world_from_cam))
         _put(self._trajectory, rows)
 

@@ -84,6 +84,9 @@ def _add_run(commands: Any) -> argparse.ArgumentParser:
                          '[s] and speed [m/s], or topic of wheel odometry in the bag')
     command.add_argument('-o', '--output', default='out', metavar='OUT',
                          help='folder of the results (default: %(default)s)')
+    command.add_argument('--map', metavar='JSON',
+                         help='map.json of an earlier run: give the results in its frame, where '
+                         'its planes are found again')
     command.add_argument('--topic', help='video topic of a bag that has several')
     command.add_argument('--max-frames', type=_count, metavar='N', help='stop after N pictures')
     command.add_argument('--overlay', metavar='MP4',
@@ -213,7 +216,7 @@ def _run(args: argparse.Namespace) -> int:
     with progress_bar(args.quiet or args.json) as progress:
         history = History()
         summary = run.run(args.input, camera, settings, args.output, args.max_frames, progress,
-                          args.topic, args.command_line, speeds, history)
+                          args.topic, args.command_line, speeds, history, args.map)
     _print(args, summary.to_dict(), run.text(summary, args.output))
     if not args.no_report:
         from mv_slapse.tools import run_report

@@ -24,6 +24,7 @@ from mv_slapse.storage.message_log import WITH_POSE
 from mv_slapse.storage.results import ResultsWriter
 from mv_slapse.tools.history import History
 from mv_slapse.tools.inputs import open_input, VideoInput
+from mv_slapse.tools.placing import Placing
 import numpy as np
 
 STAGES = ('decode', 'extract', 'filter', 'obstacles', 'write')
@@ -79,7 +80,7 @@ class Summary:
         Mean rate of the pictures [1/s], stamps of the first and the last key frame [s].
     cpu_seconds : dict
         By stage, and the sum.
-    camera, settings, versions : dict
+    known_map, camera, settings, versions : dict
     warnings : list of str
     """
 
@@ -101,6 +102,7 @@ class Summary:
     first_stamp: float = 0.0
     last_stamp: float = 0.0
     interrupted: bool = False
+    known_map: dict[str, Any] = field(default_factory=dict)
     cpu_seconds: dict[str, float] = field(default_factory=dict)
     camera: dict[str, Any] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
@@ -129,7 +131,7 @@ class Decoded(NamedTuple):
 def run(input: str | Path, camera: Camera | None, settings: Settings, output: str | Path,
         max_frames: int | None = None, progress: Progress | None = None,
         topic: str | None = None, command: str = '', speeds: Iterable[Speed] = (),
-        history: History | None = None) -> Summary:
+        history: History | None = None, known_map: str | Path | None = None) -> Summary:
     """Run everything on a video file, a URL or a bag and write the folder of results.
 
     Parameters
@@ -147,6 +149,7 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
         Of the vehicle, with the stamps of the video's clock; these make the scale metric.
     history : History or None
         Is told of each key frame.
+    known_map : map.json of an earlier run, in whose frame the results are where it is found again
 
     Raises
     ------
@@ -159,7 +162,7 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
     with open_input(str(input), topic, settings.encoder) as source:
         camera = _camera(camera, source, str(input))
         session = _Session(source, str(input), camera, settings, speeds)
-        session.history = history
+        session.history, session.placing = history, Placing(known_map)
         session.summary.command = command
         with ResultsWriter(output, camera=camera) as writer:
             try:
@@ -237,6 +240,7 @@ class _Session:
         self._obstacles: set[int] = set()
         self._stamps = array('q')
         self.history: History | None = None
+        self.placing = Placing(None)
         self.summary = Summary(name)
 
     def play(self, writer: ResultsWriter, max_frames: int | None, progress: Progress | None):
@@ -252,6 +256,7 @@ class _Session:
             if progress:
                 progress(self.summary.frames, total)
         self._take(self._decode(self._decoder.flush), writer)
+        self._write(self.placing.rest(), writer)
 
     def replay(self, decoded: Decoded, writer: ResultsWriter):
         """Take correspondences that were decoded before."""
@@ -265,7 +270,8 @@ class _Session:
         summary, camera = self.summary, self._camera
         summary.fps = _rate(np.sort(self._stamps))
         summary.planes, summary.obstacles_confirmed = len(self._planes), len(self._obstacles)
-        summary.warnings = self._source.warnings + summary.warnings
+        summary.known_map = self.placing.content()
+        summary.warnings = [*self._source.warnings, *summary.warnings, *self.placing.warnings()]
         self._check_clocks()
         for name, counter in self._counts.items():
             setattr(summary, name, dict(counter.most_common()))
@@ -299,7 +305,12 @@ class _Session:
         for pair in pairs:
             self._check_size(pair)
             step = self._slapse.step(pair, self._told(pair.stamp))
+            self._write(self.placing.add(step), writer)
+
+    def _write(self, steps: list[Step], writer: ResultsWriter):
+        for step in steps:
             with self._clock.stage('write'):
+                writer.origin = self.placing.origin
                 writer.write(step)
             self._count(step)
             if self.history:

@@ -8,6 +8,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mv_slapse_msgs')
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+import known_walls as walls  # noqa: E402
 import made_up  # noqa: E402
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
@@ -24,6 +25,7 @@ from mv_slapse.nodes.shell import Shell  # noqa: E402
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
 from mv_slapse.nodes.states import CONDITIONS, Kind  # noqa: E402
 from mv_slapse.records import ScaleStatus, TrackingStatus  # noqa: E402
+from mv_slapse.storage.archives import map_content, write_json  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences, PlaneMap, PlaneObservations  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
@@ -333,6 +335,18 @@ def test_a_scale_that_nobody_knows(bench):
     reaches(bench, node, 'working')
 
 
+def test_a_known_map_that_is_not_found_again_yet(bench, tmp_path):
+    write_json(tmp_path / 'map.json', map_content(None, walls.seen(walls.CORNER, walls.ORIGIN)))
+    node = bench.start(SlamNode, tf_wait=0.0, scene__camera_height=drives.HEIGHT,
+                       map_file=str(tmp_path / 'map.json'))
+    publisher = bench.advertise(PlaneObservations, 'planes/observations')
+    for step in drives.steps(2):
+        publisher.publish(seen(step.extraction))
+    reaches(bench, node, 'unplaced', 'are not found again: the scale of the map')
+    assert bench.call(Trigger, '/slam/reset').success
+    leaves(bench, node, 'unplaced')
+
+
 def test_wheels_of_another_clock(bench):
     node = bench.start(SlamNode, tf_wait=0.0, scene__camera_height=drives.HEIGHT)
     wheels = bench.advertise(Odometry, 'wheel_odometry', BEST_EFFORT)
@@ -365,8 +379,7 @@ def test_the_tracker_waits_for_a_pose(bench):
             reaches(bench, node, 'working')
         else:
             reaches(bench, node, 'no_pose', 'slam gives no pose, it is lost: a tunnel')
-            for topic in ('odometry',):  # none comes while slam is lost
-                node.health.arrived(topic)
+            node.health.arrived('odometry')  # none comes while slam is lost
     reaches(bench, node, 'silent')
 
 

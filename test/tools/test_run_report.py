@@ -3,11 +3,7 @@ import re
 
 import av
 import cv2
-from mv_slapse.evaluation.truth import LabelTable
-from mv_slapse.records import Label
-from mv_slapse.storage.tum import Trajectory
 from mv_slapse.tools import main, overlay
-from mv_slapse.tools.eval import Results
 import numpy as np
 import pytest
 
@@ -64,25 +60,6 @@ def test_an_overlay_shows_every_picture_up_to_the_last_key_frame(folder, clip):
     grey = cv2.cvtColor(shown[5], cv2.COLOR_BGR2GRAY)
     assert np.corrcoef(grey.ravel(), pictures[5].ravel())[0, 1] > 0.8
     assert sorted(path.name for path in folder.glob('*part*')) == []
-
-
-def test_blocks_and_boxes_lie_where_they_belong():
-    x, y = (values.ravel() for values in np.meshgrid([8.0, 24, 40, 56], [8.0, 24]))
-    label = np.full((1, 8), Label.UNKNOWN, int)
-    label[0, 1], label[0, 6] = Label.MOVING, Label.STATIONARY
-    plane = np.array([[-1, 7, -1, -1, -1, -1, 2, -1]])
-    results = Results(Trajectory(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 4))), {},
-                      {}, LabelTable(np.zeros(1, np.int64), x, y, label, plane), {})
-    obstacle = {'id': [3.0], 'x': [36.0], 'y': [18.0], 'width': [10.0], 'height': [8.0],
-                'vx': [3.0], 'vy': [0.0], 'vz': [4.0], 'ttc': [1.5]}
-    image = np.full((32, 64, 3), 100, np.uint8)
-    drawn = overlay.draw(image, results, 0, {k: np.array(v) for k, v in obstacle.items()})
-    np.testing.assert_allclose(drawn[8, 18], 0.6 * 100 + 0.4 * np.array(overlay.RED), atol=1)
-    np.testing.assert_allclose(drawn[30, 33], 0.6 * 100 + 0.4 * np.array(overlay.PLANES[2]),
-                               atol=1)
-    np.testing.assert_array_equal(drawn[26, 40], overlay.RED)
-    assert (drawn[30, 50:] == 100).all()
-    assert (image == 100).all()
 
 
 def test_a_stream_cannot_be_read_twice(clip, tmp_path, capsys):
