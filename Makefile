@@ -4,7 +4,7 @@ VENV := .venv
 RUN := . $(VENV)/setup.sh &&
 WORKERS ?= 2
 .DEFAULT_GOAL := help
-.PHONY: help setup messages kernels config demo test lint build bench evaluate losses fuzz soak mutants clean
+.PHONY: help setup messages kernels config demo test lint build bench evaluate losses fuzz kills soak mutants clean
 
 # Stamps, one for each step, so that a step is repeated only when what it reads has changed.
 LIBRARIES := $(VENV)/.libraries
@@ -86,6 +86,9 @@ losses: setup ## leave out packets of every codec (ARGS="--places 50 --given 12"
 
 fuzz: setup ## damage streams, messages, bags, files (ARGS="--streams 300 --messages 400 --bags 50 --files 50")
 	@$(RUN) $(RELIABILITY)/fuzz.py $(ARGS)
+
+kills: setup ## kill the four nodes while a street is driven (ARGS="--moments 100")
+	@$(RUN) $(RELIABILITY)/kills.py $(ARGS)
 
 soak: setup ## play a minute of video and watch the memory (ARGS="--minutes 60" for an hour)
 	@$(RUN) $(RELIABILITY)/soak.py $(ARGS)

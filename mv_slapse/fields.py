@@ -195,11 +195,16 @@ def camera_transform_to_fields(stamp: int, frames: RosFrames) -> Fields:
                       Pose(frames.R_base_from_cam, frames.t_base_from_cam))
 
 
-def plane_map_to_fields(scene: SceneEstimate, frames: RosFrames, resets: int = 0) -> Fields:
-    """Return mv_slapse_msgs/PlaneMap in odom, of a trajectory that began anew ``resets`` times."""
+def plane_map_to_fields(scene: SceneEstimate, frames: RosFrames, resets: int = 0,
+                        began: int = 0) -> Fields:
+    """Return mv_slapse_msgs/PlaneMap in odom.
+
+    Of a trajectory that began anew ``resets`` times, the last time at a stamp [ns].
+    """
     return {'header': header(scene.stamp, frames.odom), 'tracking': int(scene.status),
             'reason': scene.reason, 'scale_status': int(scene.scale_status),
             'scale_source': scene.scale_source, 'resets': int(resets),
+            'began': stamp_to_fields(began),
             'planes': [_map_plane_to_fields(plane, frames) for plane in scene.planes]}
 
 
@@ -230,6 +235,7 @@ def check_odometry(msg: Any):
 def check_plane_map(msg: Any):
     """Raise InvalidMessage where a mv_slapse_msgs/PlaneMap says what cannot be."""
     stamp_from_message(msg.header.stamp)
+    stamp_from_message(msg.began)
     tracking_from_message(msg)
     check.member(ScaleStatus, msg.scale_status, 'scale_status')
     for plane in check.count(msg.planes, 'planes'):

@@ -1,10 +1,10 @@
 """Scenes, and all that a key frame gives, as another {W} sees them."""
 
 from dataclasses import replace
+from typing import Any
 
 from mv_slapse.geometry import ros_frames
 from mv_slapse.geometry.ros_frames import Pose, RosFrames, skew
-from mv_slapse.pipeline import Step
 from mv_slapse.records import MapPlane, Obstacle, PlaneHandover, SceneEstimate
 import numpy as np
 
@@ -25,8 +25,8 @@ def in_frames(scene: SceneEstimate, frames: RosFrames, others: RosFrames) -> Sce
         planes=tuple(_plane(plane, frames, others) for plane in scene.planes))
 
 
-def step_in(step: Step, other_from_world: Pose) -> Step:
-    """Return what a key frame gave in another {W}, in which its own is known by a pose.
+def step_in(step: Any, other_from_world: Pose) -> Any:
+    """Return a ``pipeline.Step`` in another {W}, in which its own is known by a pose.
 
     That pose's error adds to that of the camera's poses, as it is the same for all of them.
     """

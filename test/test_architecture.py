@@ -33,7 +33,7 @@ BELOW = {
     'kernels': {'errors'},
     'geometry': {*BASE, 'kernels'},
     'drawing': LOW,
-    'frame_change': {*LOW, 'pipeline'},
+    'frame_change': LOW,
     'known_map': LOW,
     'codec': LOW,
     'motion': LOW,

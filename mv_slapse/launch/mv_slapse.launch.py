@@ -29,6 +29,7 @@ ARGUMENTS = (
     ('rviz', 'false', 'show the results'),
     ('respawn', 'true', 'start a node again when it ends'),
 )
+RESPAWN_DELAY = 0.2  # [s]
 NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker')
 WITH_CAMERA = ('decoder', 'plane_extraction', 'all_in_one')
 WITH_SPEED = ('slam', 'all_in_one')
@@ -68,7 +69,7 @@ def node(name, kind, args):
         overrides['source'] = args['input']
     return Node(package='mv_slapse', executable=name, name=name, namespace=args['namespace'],
                 parameters=[*parameters, overrides], remappings=remappings(name, kind, args),
-                output='screen', respawn=is_true(args['respawn']), respawn_delay=1.0)
+                output='screen', respawn=is_true(args['respawn']), respawn_delay=RESPAWN_DELAY)
 
 
 def remappings(name, kind, args):

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from mv_slapse import fields
 from mv_slapse.config import ObstacleSettings
+from mv_slapse.field_values import stamp_from_message
 from mv_slapse.nodes import overload
 from mv_slapse.nodes.extrinsics import Extrinsics
 from mv_slapse.nodes.gate import Gate
@@ -48,7 +49,7 @@ class ObstacleTrackerNode(Shell):
     def restart(self):
         """Forget all obstacles."""
         self._tracker, self._newest = ObstacleTracker(self.settings[ObstacleSettings]), 0
-        self._memory, self._map_resets = SceneMemory(), 0
+        self._memory, self._map_began = SceneMemory(), (0, 0)
         self._handovers.restart()
 
     def on_settings(self, changed: set[type]):
@@ -82,9 +83,10 @@ class ObstacleTrackerNode(Shell):
         extraction = observations.extraction
         if extraction.stamp < self._newest:
             self.begin_anew('time went back (a bag played again?)')
-        elif plane_map.resets != self._map_resets and self._memory.last:
+        began = plane_map.resets, stamp_from_message(plane_map.began)
+        if self._memory.last and began != self._map_began:
             self.begin_anew('slam began anew')
-        self._map_resets = plane_map.resets
+        self._map_began = began
         frames = self._extrinsics.frames(observations.header.frame_id)
         before = self._memory.last
         scene = self._memory.scene(extraction, odometry, plane_map, frames)

@@ -10,6 +10,8 @@ from mv_slapse.nodes import overload
 from mv_slapse.nodes.camera_input import CameraInput
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.gate import Gate
+from mv_slapse.nodes.health import every
+from mv_slapse.nodes.numbering import Numbering
 from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.shell import run, Shell
 from mv_slapse.records import Correspondences as RecordedPair
@@ -29,13 +31,16 @@ class PlaneExtractionNode(Shell):
         self._extractor: PlaneExtractor | None = None
         self._publisher = self.create_publisher(PlaneObservations, 'planes/observations',
                                                 RELIABLE)
-        self._gate = Gate(lambda *_: self._extractor is not None, self._extract, HELD)
+        self._numbering = Numbering(self)
+        self._gate = Gate(self._is_ready, self._extract, HELD)
+        every(self, 0.1, lambda: self.attempt(TOPIC, self._gate.drain))
         self._camera = CameraInput(self, self._on_camera)
         self.health.watch(TOPIC, 'start the decoder node in the same namespace')
         subscribe(self, Correspondences, TOPIC, self.guarded(TOPIC, Correspondences, self._take))
 
     def restart(self):
         """Forget all planes."""
+        self._numbering.begin_anew()
         if self._camera.camera is not None:
             self._start(self._camera.camera)
 
@@ -43,6 +48,9 @@ class PlaneExtractionNode(Shell):
         """Extract with new settings."""
         if changed & {ExtractionSettings, MountSettings}:
             self.begin_anew('extraction settings changed')
+
+    def _is_ready(self, *_) -> bool:
+        return self._extractor is not None and self._numbering.is_known()
 
     def _take(self, msg: Correspondences):
         record = fields.correspondences_from_message(msg)
@@ -60,7 +68,7 @@ class PlaneExtractionNode(Shell):
         check_size(self._camera.camera, record.width, record.height, TOPIC)
         if self.latency.is_behind(came):
             record = overload.dropped(record)
-        extraction = self._extractor.extract(record)
+        extraction = self._numbering.applied(self._extractor.extract(record))
         self._publisher.publish(to_message(PlaneObservations, fields.extraction_to_fields(
             extraction, RosFrames(camera=frame))))
         self._report(extraction)

@@ -56,6 +56,7 @@ class SceneOutput:
         """Forget the path."""
         self._poses: deque[PoseStamped] = deque(maxlen=self._settings.path_length)
         self._path_due = self._markers_due = self._anew = 0
+        self._began: tuple[int, int] | None = None  # resets, and the stamp of the last [ns]
         self._shown = view_fields.MarkerBoard(
             self._node.settings[FrameSettings].odom_frame)
 
@@ -67,9 +68,16 @@ class SceneOutput:
             self._publish_pose(scene, frames, placement)
             self._publish_path(scene, frames)
         self._map.publish(to_message(PlaneMap, fields.plane_map_to_fields(
-            scene, frames, self._node.resets)))
+            scene, frames, *self._beginning(scene.stamp))))
         self._publish_markers(scene, frames)
         self._report(scene)
+
+    def _beginning(self, stamp: int) -> tuple[int, int]:
+        """Return how often the trajectory began anew, and when it did last."""
+        if self._began is None or self._began[0] != self._node.resets:
+            self._began = self._node.resets, stamp
+            self._node.health.value('trajectory began', f'{stamp / 1e9:.3f} s')
+        return self._began
 
     def _count(self, scene: SceneEstimate):
         """Add how often the filter began anew to the node's count; a new one counts from 0."""

@@ -45,6 +45,7 @@ class MessageLog:
         self._obstacles = view_fields.MarkerBoard(frames.odom)
         self._poses: deque[fields.Fields] = deque(maxlen=PATH_LENGTH)
         self._path_due = 0
+        self._began: tuple[int, int] | None = None  # resets, and the stamp of the last [ns]
 
     def close(self):
         """Complete the file."""
@@ -57,6 +58,8 @@ class MessageLog:
             put('/camera_info', 'sensor_msgs/msg/CameraInfo',
                 fields.camera_to_fields(self._camera, stamp, frames.camera), stamp, True)
             self._camera = None
+        if self._began is None or self._began[0] != scene.resets:
+            self._began = scene.resets, stamp
         if scene.status in WITH_POSE:
             self._write_pose(scene)
         put('/correspondences', 'mv_slapse_msgs/msg/Correspondences',
@@ -64,7 +67,7 @@ class MessageLog:
         put('/planes/observations', 'mv_slapse_msgs/msg/PlaneObservations',
             fields.extraction_to_fields(step.extraction, frames), stamp)
         put('/planes/map', 'mv_slapse_msgs/msg/PlaneMap',
-            fields.plane_map_to_fields(scene, frames, scene.resets), stamp, True)
+            fields.plane_map_to_fields(scene, frames, *self._began), stamp, True)
         put('/obstacles', 'mv_slapse_msgs/msg/ObstacleArray',
             fields.obstacles_to_fields(stamp, step.obstacles, scene.scale_status, frames), stamp)
         sure = planner_fields.sure(step.obstacles)

@@ -1,4 +1,4 @@
-"""``make evaluate``: every sequence in every encoding and what is rendered, in two tables.
+"""``make evaluate``: every sequence in every encoding and what is rendered, as a page and rows.
 
 Sequences are read where they lie, ``../shared/data`` beside the checkout; rendered streets need
 nothing. The page names the commit and the commands, so that anybody can repeat a row. A run that
@@ -16,6 +16,7 @@ from mv_slapse.batch.workers import Workers
 from mv_slapse.tools import cases
 from mv_slapse.tools.altered import altered
 from mv_slapse.tools.cases import Scene
+from mv_slapse.tools.results_page import page, rows_as_csv
 from mv_slapse.tools.rows import Cache, Figures, measure_all, state_of_code
 
 DATA = Path('../shared/data')
@@ -56,43 +57,6 @@ def row(name: str, figures: dict[str, Any], columns: dict[str, tuple[str, str]] 
     cells = [pattern.format(figures[key]) if figures.get(key) is not None else ''
              for key, pattern in columns.values()]
     return f'| {name} | ' + ' | '.join(cells) + ' |'
-
-
-def page(measured: dict[str, dict[str, Any]], commit: str) -> str:
-    """Return the whole page, given the figures of each row."""
-    seen = {name: figures for name, figures in measured.items()
-            if any(figures.get(key) is not None for key, _ in OBSTACLE_COLUMNS.values())}
-    return (
-        '# Results\n\n'
-        f'Made by `make evaluate` at commit {commit}, default settings, '
-        '`--camera-height` where the data set tells it.\n'
-        'A row is `mv_slapse run VIDEO --camera camera.yaml [--camera-height H] -o OUT`, then '
-        '`mv_slapse eval OUT --ground-truth …`.\n'
-        'ATE: mean position error after similarity alignment, rigid: after rigid alignment, in '
-        'per cent of the way; ε_D: mean error of the way from the first pose as a share of it, '
-        'without alignment, as in table II of [SLAPSE]; step: longest between two poses, less '
-        'what twist and covariances explain [map unit]; covered: positions within 3 sigma of the '
-        'true ones; NEES: of poses, 6 if the covariances are right, where the truth is exact; '
-        'standstill: farthest from where it stopped; planes: true ones that were found; on one: '
-        'observations of planes four fifths of whose macroblocks lie on one true plane; still so:'
-        ' stationary points or blocks called moving; mirrored, cut: the same clips with other '
-        'vectors; CPU: of all stages, for each frame of the video. Speed given: `--speed` with a '
-        'speed drawn from the truth, 1 % noise, in place of the height; free scale: neither.\n\n'
-        f'{_table(measured, COLUMNS)}\n'
-        '## Moving obstacles\n\n'
-        'In time: passages of movers of at least 6 macroblocks met by a confirmed obstacle '
-        'within 0.5 s. Position (of the range), velocity and time to contact: median errors. '
-        'Relabelled: cars that became an obstacle within 1 s of starting, or ceased to be one '
-        'within 1 s of stopping. NEES: of position and velocity, 6 if the covariances are '
-        'right.\nFalse, confirmed: rows of confirmed obstacles that meet no mover, and all, for '
-        'each key frame. Boxes met: key frames in which the annotated box meets an obstacle.\n\n'
-        f'{_table(seen, OBSTACLE_COLUMNS)}')
-
-
-def _table(measured: dict[str, dict[str, Any]], columns: dict[str, tuple[str, str]]) -> str:
-    head = f'| sequence | {" | ".join(columns)} |\n|' + ' --- |' * (len(columns) + 1)
-    rows = [row(name, figures, columns) for name, figures in measured.items()]
-    return '\n'.join([head, *rows]) + '\n'
 
 
 def commit_of(folder: Path) -> str:
@@ -153,6 +117,7 @@ def main(arguments: list[str] | None = None) -> int:
     measured = measure_all(all_scenes(options), cache_of(options), workers_of(options), tell)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(page(measured, commit_of(Path.cwd())))
+    options.output.with_suffix('.csv').write_text(rows_as_csv(measured))
     return 0
 
 

@@ -3,14 +3,15 @@ import pytest
 pytest.importorskip('rclpy')
 pytest.importorskip('mv_slapse_msgs')
 
+import made_up  # noqa: E402
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.config import ExtractionSettings  # noqa: E402
 from mv_slapse.extraction.extractor import PlaneExtractor  # noqa: E402
 from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
-from mv_slapse.nodes import plane_extraction  # noqa: E402
+from mv_slapse.nodes import numbering, plane_extraction  # noqa: E402
 from mv_slapse.nodes.conversions import to_message  # noqa: E402
 from mv_slapse.nodes.plane_extraction import PlaneExtractionNode  # noqa: E402
-from mv_slapse_msgs.msg import Correspondences, PlaneObservations  # noqa: E402
+from mv_slapse_msgs.msg import Correspondences, PlaneMap, PlaneObservations  # noqa: E402
 from nodes import drives  # noqa: E402
 from nodes.bench import BEST_EFFORT, LATCHED, messages_of  # noqa: E402
 import numpy as np  # noqa: E402
@@ -38,7 +39,7 @@ def assert_extracted(received, pairs):
         np.testing.assert_array_equal(found.motion.R_cur_from_prev,
                                       expected.motion.R_cur_from_prev)
         np.testing.assert_array_equal(found.label, expected.label)
-        assert [p.id for p in found.planes] == [p.id for p in expected.planes]
+        assert [p.id % numbering.BLOCK for p in found.planes] == [p.id for p in expected.planes]
         for plane, other in zip(found.planes, expected.planes, strict=True):
             np.testing.assert_array_equal(plane.plane, other.plane)
 
@@ -90,6 +91,28 @@ def test_reset_forgets_the_planes(bench, pairs):
     publish_pairs(bench, pairs[:2])
     assert bench.spin(lambda: len(received) == 4, 20)
     assert_extracted(received[2:], pairs[:2])
+    # slam still has those that it was told of before
+    before, after = ({plane.id for msg in half for plane in msg.planes}
+                     for half in (received[:2], received[2:]))
+    assert before
+    assert not before & after
+
+
+def test_planes_of_a_node_that_was_started_again_are_not_taken_for_those_in_the_map(bench, pairs):
+    received = bench.listen(PlaneObservations, 'planes/observations')
+    scene = made_up.scene(np.random.default_rng(0))  # its plane has the id 7
+    maps = bench.peer.create_publisher(PlaneMap, 'planes/map', LATCHED)
+    maps.publish(to_message(PlaneMap, fields.plane_map_to_fields(scene, RosFrames())))
+    bench.start(PlaneExtractionNode)
+    bench.peer.create_publisher(CameraInfo, 'camera_info', LATCHED).publish(drives.camera_info())
+    publish_pairs(bench, pairs)
+    assert bench.spin(lambda: len(received) == len(pairs), 20)
+    assert_extracted(received, pairs)
+    for msg in received:
+        ids = {plane.id for plane in msg.planes}
+        assert all(id_ >= numbering.BLOCK for id_ in ids)
+        assert set(msg.plane_id) <= {-1} | ids
+    assert any(max(msg.macroblock_plane) >= numbering.BLOCK for msg in received)
 
 
 def test_a_broken_pair_is_passed_on_with_its_reason(bench):

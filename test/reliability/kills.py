@@ -1,0 +1,228 @@
+"""What comes of it where a node is killed? SIGKILL of each of the four while a street is driven.
+
+A real clip is published in real time; a killed process is started again as the launch file would.
+Told are the seconds until a tracked pose (or obstacles) of a later key frame comes again, what the
+position then misses, and whether map and trajectory are the same.
+"""
+
+import argparse
+from dataclasses import dataclass, field
+import json
+import os
+from pathlib import Path
+import random
+import runpy
+import signal
+import statistics
+import subprocess
+import sys
+import time
+import unittest.mock
+
+from ffmpeg_image_transport_msgs.msg import FFMPEGPacket
+from mv_slapse.codec.source import open_source
+from mv_slapse.fields import stamp_from_message
+from mv_slapse.nodes.conversions import to_message
+from mv_slapse.records import TrackingStatus
+from mv_slapse.storage.tum import read_trajectory
+from mv_slapse.video_messages import packet_to_fields
+from mv_slapse_msgs.msg import ObstacleArray, PlaneMap
+from nav_msgs.msg import Odometry
+import numpy as np
+import rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+ROOT = Path(__file__).resolve().parents[2]
+CLIP = ROOT.parent / 'shared' / 'data' / 'kitti00'
+SIZE = 1240, 376
+FOUR = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker')
+PERIOD = 0.1  # [s] between two pictures
+PATIENCE = 20.0  # [s]
+
+
+def respawn_delay() -> float:
+    """Return how long the launch file waits before it starts a node again [s]."""
+    names = ('launch', 'launch.actions', 'launch.substitutions', 'launch_ros',
+             'launch_ros.actions', 'launch_ros.substitutions')
+    with unittest.mock.patch.dict(sys.modules, {n: unittest.mock.MagicMock() for n in names}):
+        return runpy.run_path(str(ROOT / 'mv_slapse/launch/mv_slapse.launch.py'))['RESPAWN_DELAY']
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of killing a node."""
+
+    node: str
+    seconds: float  # until it works again
+    missed: float  # [m] of the way since before the kill, against the truth
+    same: bool  # whether map and trajectory go on
+    where: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # of the first pose after
+
+
+class Line:
+    """The four nodes, each a process."""
+
+    def __init__(self, folder: Path):
+        self._folder, self._processes = folder, {}
+        for name in FOUR:
+            self.start(name)
+
+    def start(self, name: str):
+        command = [sys.executable, '-m', f'mv_slapse.nodes.{name}', '--ros-args',
+                   '-p', 'scene.camera_height:=1.65', '-p', 'tf_wait:=0.0']
+        if name in FOUR[:2]:
+            command += ['-p', f'camera_info_url:={CLIP / "camera.yaml"}']
+        with (self._folder / f'{name}.log').open('ab') as log:
+            self._processes[name] = subprocess.Popen(
+                command, env={**os.environ, 'PYTHONPATH': str(ROOT)}, cwd=self._folder,
+                stdout=log, stderr=subprocess.STDOUT)
+
+    def kill(self, name: str):
+        self._processes[name].kill()
+        self._processes[name].wait()
+
+    def stop(self) -> list[int]:
+        for process in self._processes.values():
+            process.send_signal(signal.SIGINT)
+        return [process.wait(20) for process in self._processes.values()]
+
+
+class Drive:
+    """Publishes the clip in real time, and keeps what comes back."""
+
+    def __init__(self):
+        self.node = rclpy.create_node('drive')
+        with open_source(CLIP / 'mpeg2.mpg') as source:
+            self._packets = list(source.packets())
+        self._truth = read_trajectory(CLIP / 'ground_truth.tum')
+        self._video = self.node.create_publisher(FFMPEGPacket, 'video', 100)
+        self.poses, self.maps, self.obstacles = {}, {}, {}
+        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        for kind, topic, kept, profile in (
+                (Odometry, 'odometry', self.poses, QoSProfile(depth=100)),
+                (PlaneMap, 'planes/map', self.maps, latched),
+                (ObstacleArray, 'obstacles', self.obstacles, QoSProfile(depth=100))):
+            self.node.create_subscription(kind, topic, self._keep(kept), profile)
+        self._begin, self._due, self._next = 0, 0.0, 0
+        self.slower = 1.0  # times that the pictures come later than in reality
+
+    @staticmethod
+    def _keep(kept):
+        return lambda msg: kept.__setitem__(stamp_from_message(msg.header.stamp), msg)
+
+    def begin(self):
+        """Drive until there are poses, from the clip's beginning where it does not last."""
+        if not 0 < self._next < len(self._packets) // 3:
+            self.rewind()
+        n = len(self.tracked()) + 10
+        assert self.spin(lambda: len(self.tracked()) >= n), 'there are no poses'
+
+    def rewind(self):
+        """Begin the clip again, long after."""
+        self._begin += 1000 * 10**9
+        self._due, self._next = time.monotonic(), 0
+
+    def ready(self) -> bool:
+        """Wait for all nodes; two read the map, and the tracker the poses."""
+        count = self.node.count_subscribers
+        return self.spin(lambda: count('video') == 1 and count('correspondences') == 1
+                         and count('planes/observations') == 2 and count('odometry') == 2
+                         and count('obstacles') == 1, 60, self._next > 0)
+
+    def spin(self, until, timeout: float = PATIENCE, drive: bool = True) -> bool:
+        """Drive on until a condition holds; return whether it did in time."""
+        end = time.monotonic() + timeout
+        while not until() and time.monotonic() < end:
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+            if drive and time.monotonic() >= self._due and self._next < len(self._packets):
+                packet = self._packets[self._next]
+                moved = type(packet)(packet.data, packet.stamp + self._begin, packet.is_key,
+                                     packet.codec, packet.extradata)
+                self._video.publish(to_message(FFMPEGPacket, packet_to_fields(
+                    moved, SIZE, self._next, 'cam')))
+                self._next += 1
+                self._due = max(self._due + PERIOD * self.slower, time.monotonic() - PERIOD)
+        return bool(until())
+
+    def wait(self, seconds: float):
+        """Drive on for so long."""
+        end = time.monotonic() + seconds
+        self.spin(lambda: time.monotonic() >= end, seconds + 1)
+
+    def tracked(self) -> list[int]:
+        """Return the stamps of this run that have a tracked pose."""
+        return [stamp for stamp in sorted(self.maps) if stamp > self._begin and stamp in self.poses
+                and self.maps[stamp].tracking == TrackingStatus.OK]
+
+    def position(self, stamp: int) -> np.ndarray:
+        p = self.poses[stamp].pose.pose.position
+        return np.array([p.x, p.y, p.z])
+
+    def missed(self, before: int, after: int) -> float:
+        """Return the length by which a way differs from the true one [m]."""
+        at = [int(np.abs(self._truth.stamps + self._begin - s).argmin()) for s in (before, after)]
+        true = np.linalg.norm(np.subtract(*self._truth.positions[at]))
+        return float(abs(np.linalg.norm(self.position(after) - self.position(before)) - true))
+
+
+def killed(drive: Drive, line: Line, name: str, delay: float, slower: float = 1.0) -> Outcome:
+    """Kill a node, start it again, and wait until what it is needed for comes again.
+
+    On a busy machine that takes long; with ``slower`` fewer pictures come meanwhile.
+    """
+    before, newest = drive.tracked()[-1], max(drive.maps)
+    result = drive.obstacles if name == 'obstacle_tracker' else drive.maps
+    line.kill(name)
+    begin, drive.slower = time.monotonic(), slower
+    drive.wait(delay)
+    line.start(name)
+    # what was on its way when the process ended may still come
+    earliest = max(newest, max(result, default=0)) + 2 * 10**8
+
+    def works():
+        if name == 'obstacle_tracker':
+            return max(drive.obstacles, default=0) > earliest
+        return drive.tracked()[-1] > earliest
+
+    assert drive.spin(works), f'{name} does not work again'
+    drive.slower = 1.0
+    seconds, after = time.monotonic() - begin, drive.tracked()[-1]
+    same = drive.maps[after].began == drive.maps[before].began and (
+        {p.id for p in drive.maps[after].planes} >= {p.id for p in drive.maps[before].planes
+                                                     if p.n_observations > 5})
+    first = next((s for s in drive.tracked() if s > earliest), after)
+    return Outcome(name, seconds, drive.missed(before, after), same, tuple(drive.position(first)))
+
+
+def main() -> int:
+    """Kill nodes at random moments; print what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--moments', type=int, default=8, help='in all (default: 8)')
+    parser.add_argument('--log', type=Path, default=Path('/tmp'), help='folder of the logs')
+    args = parser.parse_args()
+    rclpy.init()
+    drive, line, found = Drive(), Line(args.log), []
+    rng, delay = random.Random(0), respawn_delay()
+    try:
+        for i in range(args.moments):
+            assert drive.ready(), 'the nodes do not find one another'
+            drive.begin()
+            drive.wait(rng.uniform(0, 4))
+            found.append(killed(drive, line, FOUR[i % 4], delay))
+            print(found[-1], file=sys.stderr, flush=True)
+    finally:
+        line.stop()
+    print(json.dumps({name: _summary([o for o in found if o.node == name]) for name in FOUR}))
+    rclpy.shutdown()
+    return 0
+
+
+def _summary(outcomes: list[Outcome]) -> dict[str, object]:
+    seconds = [o.seconds for o in outcomes]
+    return {'kills': len(outcomes), 'median [s]': round(statistics.median(seconds), 2),
+            'worst [s]': round(max(seconds), 2), 'worst miss [m]': round(
+                max(o.missed for o in outcomes), 2), 'goes on': sum(o.same for o in outcomes)}
+
+
+if __name__ == '__main__':
+    sys.exit(main())
