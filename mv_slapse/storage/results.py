@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
+from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import MvSlapseError, UnusableOutput, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import Pose, RosFrames
@@ -49,6 +50,7 @@ class ResultsWriter:
                              'folder with -o') from None
         self._messages = MessageLog(self.out / 'results.mcap', frames or RosFrames(), camera)
         self._map = MapArchive()
+        self._size = (camera.width, camera.height) if camera else (0, 0)
         self._has_origin = self._is_closed = False
         #: pose of the first key frame's camera
         self.origin = Pose(np.eye(3), np.zeros(3))
@@ -80,6 +82,10 @@ class ResultsWriter:
             raise self._unusable(error) from error
         self._map.add(scene)
         self._messages.write(step)
+
+    def write_packet(self, packet: Packet):
+        """Put a packet of the video among the messages."""
+        self._messages.write_packet(packet, self._size)
 
     def close(self, summary: dict[str, Any] | None = None):
         """Complete all files; a second call does nothing.

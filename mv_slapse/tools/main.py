@@ -92,6 +92,9 @@ def _add_run(commands: Any) -> argparse.ArgumentParser:
     command.add_argument('--overlay', metavar='MP4',
                          help='also write a video with coloured blocks and obstacles')
     command.add_argument('--no-report', action='store_true', help='leave report.html out')
+    command.add_argument('--packets', action='store_true',
+                         help='put the packets of the video into results.mcap, too: a bag that '
+                         'can be run and played again')
     _add_settings(command)
     _add_output_style(command)
     return command
@@ -205,7 +208,7 @@ def _add_output_style(command: argparse.ArgumentParser):
 
 def _run(args: argparse.Namespace) -> int:
     from mv_slapse.storage.camera_info import read_camera
-    from mv_slapse.tools import run
+    from mv_slapse.tools import run, run_summary
     from mv_slapse.tools.history import History
     from mv_slapse.tools.inputs import read_speeds
     from mv_slapse.tools.progress import progress_bar
@@ -216,8 +219,8 @@ def _run(args: argparse.Namespace) -> int:
     with progress_bar(args.quiet or args.json) as progress:
         history = History()
         summary = run.run(args.input, camera, settings, args.output, args.max_frames, progress,
-                          args.topic, args.command_line, speeds, history, args.map)
-    _print(args, summary.to_dict(), run.text(summary, args.output))
+                          args.topic, args.command_line, speeds, history, args.map, args.packets)
+    _print(args, summary.to_dict(), run_summary.text(summary, args.output))
     if not args.no_report:
         from mv_slapse.tools import run_report
         run_report.write(args.output, summary.to_dict(), history)
@@ -227,7 +230,7 @@ def _run(args: argparse.Namespace) -> int:
     if summary.interrupted:
         return INTERRUPTED
     if summary.is_lost:
-        sys.stderr.write(f'mv_slapse: {run.lost_message(summary)}\n')
+        sys.stderr.write(f'mv_slapse: {run_summary.lost_message(summary)}\n')
         return LOST
     return 0
 

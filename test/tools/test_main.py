@@ -11,7 +11,7 @@ from mv_slapse.storage.tables import read_speeds, write_speeds
 from mv_slapse.storage.tum import read_trajectory
 from mv_slapse.tools import main as command_line
 from mv_slapse.tools import run
-from mv_slapse.tools.run import Summary
+from mv_slapse.tools.run_summary import Summary
 import numpy as np
 import pytest
 
