@@ -53,10 +53,11 @@ messages: $(MESSAGES) $(OTHERS) ## generate the messages of msg_defs into .venv
 
 kernels: $(KERNELS) ## compile the kernels of mv_slapse/kernels into .venv
 
-config: setup ## write config/*.yaml, docs/parameters.md and docs/diagnostics.md from the code
+config: setup ## write config/*.yaml, docs/parameters.md, docs/diagnostics.md and the SROS2 policy
 	@$(RUN) python -m mv_slapse.tools.parameter_files config
 	@$(RUN) python -m mv_slapse.tools.parameter_table docs/parameters.md
 	@$(RUN) python -m mv_slapse.tools.state_table docs/diagnostics.md
+	@$(RUN) python -m mv_slapse.tools.security_policy docs/topics.md config/sros2_policy.xml
 
 demo: $(READY) ## render a street with known truth, run everything on it, write out/demo
 	@$(RUN) mv_slapse demo -o out/demo

@@ -19,7 +19,12 @@ from mv_slapse.records import (
 )
 from mv_slapse.step_diagnostics import StepDiagnostics
 from mv_slapse.storage.bag_writer import McapFile
-from mv_slapse.video_messages import FFMPEG_PACKET, packet_to_fields
+from mv_slapse.video_messages import (
+    compressed_to_fields,
+    COMPRESSED_VIDEO,
+    FFMPEG_PACKET,
+    packet_to_fields,
+)
 
 WITH_POSE = (TrackingStatus.OK, TrackingStatus.PREDICTED)
 MARKERS = 'visualization_msgs/msg/MarkerArray'
@@ -57,10 +62,15 @@ class MessageLog:
         self._bag.close()
 
     def write_packet(self, packet: Packet, size: tuple[int, int]):
-        """Write a packet of the video, so that the file can be run or played again."""
+        """Write a packet of the video, so that the file can be run or played again.
+
+        H.264 as the type that Foxglove shows.
+        """
         self._write_camera(packet.stamp)
-        self._bag.write(VIDEO, FFMPEG_PACKET, packet_to_fields(
-            packet, size, self._packets, self._frames.camera), packet.stamp)
+        frame, is_shown = self._frames.camera, packet.codec == 'h264'
+        self._bag.write(VIDEO, COMPRESSED_VIDEO if is_shown else FFMPEG_PACKET, (
+            compressed_to_fields(packet, frame) if is_shown
+            else packet_to_fields(packet, size, self._packets, frame)), packet.stamp)
         self._packets += 1
 
     def _write_camera(self, stamp: int):

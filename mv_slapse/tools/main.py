@@ -8,6 +8,7 @@ for most of the input, 5 some recordings of a batch failed, 130 interrupted.
 import argparse
 from collections.abc import Sequence
 import json
+import os
 import shlex
 import signal
 import sys
@@ -22,7 +23,11 @@ FAULT, LOST, INTERRUPTED = 1, 4, 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    args = parser().parse_args(arguments)
+    made = parser()
+    if '_ARGCOMPLETE' in os.environ:  # the shell asks what may follow, and nothing else is done
+        import argcomplete
+        argcomplete.autocomplete(made)
+    args = made.parse_args(arguments)
     args.command_line = shlex.join(['mv_slapse', *arguments])
     try:
         return args.function(args)
