@@ -4,7 +4,7 @@ VENV := .venv
 RUN := . $(VENV)/setup.sh &&
 WORKERS ?= 2
 .DEFAULT_GOAL := help
-.PHONY: help setup messages kernels config demo test lint build bench evaluate losses fuzz kills soak mutants clean
+.PHONY: help setup messages kernels config demo robot-demo test lint build bench evaluate losses fuzz kills soak mutants clean
 
 # Stamps, one for each step, so that a step is repeated only when what it reads has changed.
 LIBRARIES := $(VENV)/.libraries
@@ -21,7 +21,7 @@ ifneq ($(subst none,wheels,$(file <$(VENV)/.ros)),$(ROS))
 endif
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /\1: /p' Makefile | awk -F': ' '{printf "  make %-10s %s\n", $$1, $$2}'
+	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' Makefile | awk -F': ' '{printf "  make %-10s %s\n", $$1, $$2}'
 
 READY := $(LIBRARIES) $(MESSAGES) $(KERNELS) $(PACKAGE)
 
@@ -61,6 +61,12 @@ config: setup ## write config/*.yaml, docs/parameters.md, docs/diagnostics.md an
 
 demo: $(READY) ## render a street with known truth, run everything on it, write out/demo
 	@$(RUN) mv_slapse demo -o out/demo
+
+out/demo/video.mpg: $(READY)
+	@$(RUN) mv_slapse demo -o out/demo --quiet
+
+robot-demo: setup out/demo/video.mpg ## play the demo into the four nodes over DDS, write out/robot_demo
+	@$(RUN) cd test && PYTHONPATH=.:..:$$PYTHONPATH python system/robot_demo.py ../out/demo ../out/robot_demo
 
 test: setup ## run all tests, real ROS nodes included
 	@$(RUN) python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
