@@ -71,8 +71,10 @@ robot-demo: setup out/demo/video.mpg ## play the demo into the four nodes over D
 test: setup ## run all tests, real ROS nodes included
 	@$(RUN) python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
-lint: setup ## check style
+lint: setup ## check style, known dangers (bandit), and that libraries have the versions that were tested
 	@$(RUN) ruff check .
+	@$(RUN) bandit -q -r mv_slapse
+	@$(RUN) python .setup/pinned.py
 
 build: setup ## colcon build (also --symlink-install), start every node, colcon test, in a temporary workspace
 	@sh .setup/workspace.sh

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
-from xml.etree import ElementTree
+from xml.etree import ElementTree  # to write XML, none is read  # nosec B405
 
 FOUR = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker')
 ALL = (*FOUR, 'all_in_one')
