@@ -4,7 +4,7 @@ VENV := .venv
 RUN := . $(VENV)/setup.sh &&
 WORKERS ?= 2
 .DEFAULT_GOAL := help
-.PHONY: help setup messages kernels config demo test lint build bench evaluate losses fuzz kills soak mutants clean
+.PHONY: help setup messages kernels config demo robot-demo test lint build bench evaluate losses fuzz kills interruptions soak mutants clean
 
 # Stamps, one for each step, so that a step is repeated only when what it reads has changed.
 LIBRARIES := $(VENV)/.libraries
@@ -21,7 +21,7 @@ ifneq ($(subst none,wheels,$(file <$(VENV)/.ros)),$(ROS))
 endif
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /\1: /p' Makefile | awk -F': ' '{printf "  make %-10s %s\n", $$1, $$2}'
+	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' Makefile | awk -F': ' '{printf "  make %-10s %s\n", $$1, $$2}'
 
 READY := $(LIBRARIES) $(MESSAGES) $(KERNELS) $(PACKAGE)
 
@@ -53,19 +53,28 @@ messages: $(MESSAGES) $(OTHERS) ## generate the messages of msg_defs into .venv
 
 kernels: $(KERNELS) ## compile the kernels of mv_slapse/kernels into .venv
 
-config: setup ## write config/*.yaml, docs/parameters.md and docs/diagnostics.md from the code
+config: setup ## write config/*.yaml, docs/parameters.md, docs/diagnostics.md and the SROS2 policy
 	@$(RUN) python -m mv_slapse.tools.parameter_files config
 	@$(RUN) python -m mv_slapse.tools.parameter_table docs/parameters.md
 	@$(RUN) python -m mv_slapse.tools.state_table docs/diagnostics.md
+	@$(RUN) python -m mv_slapse.tools.security_policy docs/topics.md config/sros2_policy.xml
 
 demo: $(READY) ## render a street with known truth, run everything on it, write out/demo
 	@$(RUN) mv_slapse demo -o out/demo
 
+out/demo/video.mpg: $(READY)
+	@$(RUN) mv_slapse demo -o out/demo --quiet
+
+robot-demo: setup out/demo/video.mpg ## play the demo into the four nodes over DDS, write out/robot_demo
+	@$(RUN) cd test && PYTHONPATH=.:..:$$PYTHONPATH python system/robot_demo.py ../out/demo ../out/robot_demo
+
 test: setup ## run all tests, real ROS nodes included
 	@$(RUN) python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
-lint: setup ## check style
+lint: setup ## check style, known dangers (bandit), and that libraries have the versions that were tested
 	@$(RUN) ruff check .
+	@$(RUN) bandit -q -r mv_slapse
+	@$(RUN) python .setup/pinned.py
 
 build: setup ## colcon build (also --symlink-install), start every node, colcon test, in a temporary workspace
 	@sh .setup/workspace.sh
@@ -89,6 +98,9 @@ fuzz: setup ## damage streams, messages, bags, files (ARGS="--streams 300 --mess
 
 kills: setup ## kill the four nodes while a street is driven (ARGS="--moments 100")
 	@$(RUN) $(RELIABILITY)/kills.py $(ARGS)
+
+interruptions: setup ## fill the disk, kill a run, cut a bag (ARGS="--places 20 --moments 100 --cuts 100")
+	@$(RUN) $(RELIABILITY)/interruptions.py $(ARGS)
 
 soak: setup ## play a minute of video and watch the memory (ARGS="--minutes 60" for an hour)
 	@$(RUN) $(RELIABILITY)/soak.py $(ARGS)

@@ -16,7 +16,7 @@ MAX_SIDE = 32_768  # [px]
 SMALLEST_BLOCK = 16  # [px] area of a block of motion, 4x4
 MAX_B_FRAMES = 1000  # between two key frames
 MAX_ITEMS = 10_000  # planes or obstacles of a message, corners of an outline
-MAX_STAMP = 2**62  # [ns] beyond which differences leave 64 bits: the year 2116
+MAX_STAMP = (2**31 - 1) * 10**9  # [ns] the seconds of messages have 32 bits: the year 2038
 MIN_INTERVAL, MAX_INTERVAL = 10**5, 3600 * 10**9  # [ns] between the key frames of a pair
 FARTHEST = 1e9  # [m or map unit, per second] of places, speeds and lengths
 FAR_OUT = 1e6  # [px] from the picture, of where a vector may point
@@ -50,7 +50,7 @@ def stamp(time: Any, field: str = 'stamp') -> int:
     ns = int(time.sec) * 1_000_000_000 + int(time.nanosec)
     if time.sec < 0 or not 0 <= time.nanosec < 1_000_000_000 or ns > MAX_STAMP:
         refuse(field, f'{time.sec} s {time.nanosec} ns', 'must be a time since 1970 and not after '
-               '2116, with less than 10^9 ns')
+               '2038, with less than 10^9 ns')
     return ns
 
 

@@ -9,7 +9,7 @@ import cv2
 from mv_slapse.codec import bitstream
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.errors import UnusableInput
-from mv_slapse.fields import Fields, header, stamp_from_message
+from mv_slapse.fields import Fields, header, stamp_from_message, stamp_to_fields
 from mv_slapse.message_checks import count, InvalidMessage, size
 from mv_slapse.picture_size import size_of_still
 from mv_slapse.raw_images import picture_of
@@ -62,6 +62,12 @@ def packet_to_fields(packet: Packet, size: tuple[int, int], number: int, frame_i
     return {'header': header(packet.stamp, frame_id), 'width': int(size[0]),
             'height': int(size[1]), 'encoding': packet.codec, 'pts': number,
             'flags': int(packet.is_key), 'is_bigendian': False,
+            'data': np.frombuffer(in_band(packet), np.uint8)}
+
+
+def compressed_to_fields(packet: Packet, frame_id: str) -> Fields:
+    """Return foxglove_msgs/CompressedVideo of a packet of H.264."""
+    return {'timestamp': stamp_to_fields(packet.stamp), 'frame_id': frame_id, 'format': 'h264',
             'data': np.frombuffer(in_band(packet), np.uint8)}
 
 

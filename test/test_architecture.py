@@ -46,11 +46,13 @@ BELOW = {
     'evaluation': {*LOW, 'storage'},
     'pipeline': {*LOW, *ROOMS},
     'batch': {*LOW, 'evaluation', 'storage', 'tools'},
+    'states': set(),
+    'step_diagnostics': {*LOW, 'field_values', 'states'},
     'storage': {*LOW, 'codec', 'fields', 'known_map', 'picture_size', 'planner_fields',
-                'video_messages', 'view_fields'},
+                'step_diagnostics', 'video_messages', 'view_fields'},
     'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'drawing', 'fields', 'field_values',
-              'frame_change', 'known_map', 'message_checks', 'planner_fields', 'video_messages',
-              'view_fields'},
+              'frame_change', 'known_map', 'message_checks', 'planner_fields', 'states',
+              'video_messages', 'view_fields'},
 }
 
 

@@ -193,3 +193,12 @@ def test_a_recovery_point_is_found_behind_other_messages():
     assert not bitstream.is_recovery_point(b'\x06\x05\x04ab\x06\x01\x80')
     assert not bitstream.is_recovery_point(b'\x41\x06\x01\x80')
     assert not bitstream.is_recovery_point(b'\x06\xff\xff')
+
+
+def test_a_packet_of_h264_as_compressed_video_is_read_back():
+    given = Packet(IDR, STAMP, True, 'h264')
+    fields = video_messages.compressed_to_fields(given, 'eye')
+    msg = SimpleNamespace(**{**fields, 'timestamp': TIME})
+    assert fields['timestamp'] == vars(TIME)
+    assert video_messages.from_message(video_messages.COMPRESSED_VIDEO, msg) == given
+    assert video_messages.frame_of(video_messages.COMPRESSED_VIDEO, msg) == 'eye'

@@ -25,6 +25,7 @@ from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.storage.tables import OBSTACLES_HEADER, read_table
 from mv_slapse.storage.tum import read_trajectory
 from mv_slapse.tools import run as running
+from mv_slapse.tools import run_summary
 from mv_slapse.tools.eval import evaluate
 from mv_slapse.tools.history import History
 from mv_slapse.tools.inputs import read_speeds
@@ -155,7 +156,7 @@ def _row(recording: Recording, part: Path) -> Row:
         row |= {'status': DONE, 'exit_code': 0} | _figures(summary, part)
         if summary.is_lost:
             row |= {'status': LOST, 'exit_code': TRACKING_LOST,
-                    'reason': running.lost_message(summary)}
+                    'reason': run_summary.lost_message(summary)}
         if recording.ground_truth:
             row['figures'] = plain(evaluate(part, recording.ground_truth))
             row |= _errors(row['figures'])
@@ -169,7 +170,7 @@ def _row(recording: Recording, part: Path) -> Row:
                       'reason': f'a fault of mv_slapse: {type(error).__name__}: {error}'}
 
 
-def _run(recording: Recording, part: Path) -> running.Summary:
+def _run(recording: Recording, part: Path) -> run_summary.Summary:
     camera = read_camera(recording.camera) if recording.camera else None
     speeds = read_speeds(recording.speed, recording.input) if recording.speed else []
     history = History()
@@ -196,7 +197,7 @@ def command(recording: Recording) -> str:
     return shlex.join([*words, '-o', recording.name])
 
 
-def _figures(summary: running.Summary, part: Path) -> Row:
+def _figures(summary: run_summary.Summary, part: Path) -> Row:
     path = read_trajectory(part / 'trajectory.tum').positions
     obstacles = read_table(part / 'obstacles.csv', OBSTACLES_HEADER)
     soon = (obstacles['state'] == 'confirmed') & (obstacles['ttc'] < SOON)

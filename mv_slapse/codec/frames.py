@@ -15,7 +15,7 @@ WITH_VECTORS = ('h264', 'mpeg2video', 'mpeg1video', 'mpeg4', 'h263', 'flv1', 'fl
 ZERO_IN_B = ('mpeg4', 'h263')  # FFmpeg exports the blocks of B frames, their vectors as 0
 MAX_PIXELS = 64_000_000
 LONGEST_REORDERING = 2_000_000_000  # ns; a stamp farther back is a source that began again
-LAST_STAMP = 1 << 61  # ns: 73 years, the range of the stamps of messages, and half of int64
+LAST_STAMP = (2**31 - 1) * 10**9  # ns: 68 years, the seconds of messages have 32 bits
 COPIES = 16  # packets within which a network delivers one twice: half a second
 CURE = ('re-encode it, for instance with: ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 '
         'OUTPUT.mp4, or: ffmpeg -i INPUT -c:v mpeg2video -q:v 3 -bf 3 -g 12 OUTPUT.mpg')

@@ -27,6 +27,7 @@ ARGUMENTS = (
     ('use_sim_time', '', 'take the time from /clock; empty: only when a bag is played'),
     ('all_in_one', 'false', 'one process instead of four'),
     ('rviz', 'false', 'show the results'),
+    ('fixed_frame', 'odom', 'of the viewer: odom_frame, where that is another, or map'),
     ('respawn', 'true', 'start a node again when it ends'),
 )
 RESPAWN_DELAY = 0.2  # [s]
@@ -91,7 +92,8 @@ def rviz(args):
     config = os.path.join(FindPackageShare('mv_slapse').find('mv_slapse'), 'config',
                           'mv_slapse.rviz')
     return Node(package='rviz2', executable='rviz2', namespace=args['namespace'],
-                arguments=['-d', config], parameters=[{'use_sim_time': args['sim_time']}])
+                arguments=['-d', config, '-f', args['fixed_frame']],
+                parameters=[{'use_sim_time': args['sim_time']}])
 
 
 def kind_of(given):

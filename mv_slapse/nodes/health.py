@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from mv_slapse.nodes.states import CONDITIONS, Kind
+from mv_slapse.states import CONDITIONS, Kind
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node

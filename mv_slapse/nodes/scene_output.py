@@ -12,8 +12,8 @@ from mv_slapse.nodes.qos import LATCHED, RELIABLE
 from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.nodes.settings import FrameSettings, SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
-from mv_slapse.nodes.states import CONDITIONS
 from mv_slapse.records import ScaleStatus, SceneEstimate, TrackingStatus
+from mv_slapse.states import CONDITIONS
 from mv_slapse_msgs.msg import PlaneMap
 from nav_msgs.msg import Odometry, Path
 import numpy as np

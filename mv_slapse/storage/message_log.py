@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 from mv_slapse import fields, planner_fields, view_fields
+from mv_slapse.codec.packet import Packet
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.records import (
@@ -16,10 +17,18 @@ from mv_slapse.records import (
     SceneEstimate,
     TrackingStatus,
 )
+from mv_slapse.step_diagnostics import StepDiagnostics
 from mv_slapse.storage.bag_writer import McapFile
+from mv_slapse.video_messages import (
+    compressed_to_fields,
+    COMPRESSED_VIDEO,
+    FFMPEG_PACKET,
+    packet_to_fields,
+)
 
 WITH_POSE = (TrackingStatus.OK, TrackingStatus.PREDICTED)
 MARKERS = 'visualization_msgs/msg/MarkerArray'
+VIDEO = '/video'
 PATH_LENGTH = 1000  # poses of a path
 PATH_PERIOD = 1_000_000_000  # [ns] between two paths: their cost grows with their length
 
@@ -44,20 +53,36 @@ class MessageLog:
         self._planes = view_fields.MarkerBoard(frames.odom)
         self._obstacles = view_fields.MarkerBoard(frames.odom)
         self._poses: deque[fields.Fields] = deque(maxlen=PATH_LENGTH)
-        self._path_due = 0
+        self._path_due = self._packets = 0
+        self._diagnostics = StepDiagnostics()
         self._began: tuple[int, int] | None = None  # resets, and the stamp of the last [ns]
 
     def close(self):
         """Complete the file."""
         self._bag.close()
 
+    def write_packet(self, packet: Packet, size: tuple[int, int]):
+        """Write a packet of the video, so that the file can be run or played again.
+
+        H.264 as the type that Foxglove shows.
+        """
+        self._write_camera(packet.stamp)
+        frame, is_shown = self._frames.camera, packet.codec == 'h264'
+        self._bag.write(VIDEO, COMPRESSED_VIDEO if is_shown else FFMPEG_PACKET, (
+            compressed_to_fields(packet, frame) if is_shown
+            else packet_to_fields(packet, size, self._packets, frame)), packet.stamp)
+        self._packets += 1
+
+    def _write_camera(self, stamp: int):
+        if self._camera:
+            self._bag.write('/camera_info', 'sensor_msgs/msg/CameraInfo', fields.camera_to_fields(
+                self._camera, stamp, self._frames.camera), stamp, True)
+            self._camera = None
+
     def write(self, step: Step):
         """Write the messages of a key frame pair, the transform before what needs it."""
         scene, frames, stamp, put = step.scene, self._frames, step.scene.stamp, self._bag.write
-        if self._camera:
-            put('/camera_info', 'sensor_msgs/msg/CameraInfo',
-                fields.camera_to_fields(self._camera, stamp, frames.camera), stamp, True)
-            self._camera = None
+        self._write_camera(stamp)
         if self._began is None or self._began[0] != scene.resets:
             self._began = scene.resets, stamp
         if scene.status in WITH_POSE:
@@ -82,6 +107,9 @@ class MessageLog:
         put('/planes/map_markers', MARKERS, self._planes.show(stamp, planes), stamp, True)
         obstacles = view_fields.obstacle_markers(step.obstacles, frames)
         put('/obstacles/markers', MARKERS, self._obstacles.show(stamp, obstacles), stamp)
+        state = self._diagnostics.add(step)
+        if state:
+            put('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', state, stamp)
 
     def _write_pose(self, scene: SceneEstimate):
         frames, put, stamp = self._frames, self._bag.write, scene.stamp

@@ -1,20 +1,23 @@
 """The files of a run: trajectory, planes, obstacles, labels, map, bag, summary."""
 
 from collections.abc import Callable
+import errno
 from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
+from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import MvSlapseError, UnusableOutput, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import Pose, RosFrames
 from mv_slapse.storage import tables, tum
 from mv_slapse.storage.archives import LabelArchive, MapArchive, write_json
 from mv_slapse.storage.message_log import MessageLog, Step, WITH_POSE
-from mv_slapse.storage.whole_files import PART, part_of, put_in_place
+from mv_slapse.storage.whole_files import PART, part_of, put_in_place, unusable
 import numpy as np
 
 ROWS = ('trajectory.tum', 'planes.csv', 'obstacles.csv')
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 AT_THE_END = ('labels.npz', 'map.json', 'results.mcap', 'summary.json')
 
 
@@ -32,8 +35,8 @@ class ResultsWriter:
 
         Raises
         ------
-        UsageError
-            Where the folder cannot be written.
+        UsageError, UnusableOutput
+            Where the folder cannot be written; where the disk is full.
         """
         self.out = Path(out)
         try:
@@ -45,10 +48,14 @@ class ResultsWriter:
             self._obstacles = self._text('obstacles.csv', tables.OBSTACLES_HEADER)
             self._labels = LabelArchive(self.out)
         except OSError as error:
+            if error.errno in FULL:
+                raise unusable(self.out, error, 'free the disk or choose another folder with -o'
+                               ) from error
             raise UsageError(f'{out} cannot be written: {error.strerror}; choose another output '
                              'folder with -o') from None
         self._messages = MessageLog(self.out / 'results.mcap', frames or RosFrames(), camera)
         self._map = MapArchive()
+        self._size = (camera.width, camera.height) if camera else (0, 0)
         self._has_origin = self._is_closed = False
         #: pose of the first key frame's camera
         self.origin = Pose(np.eye(3), np.zeros(3))
@@ -80,6 +87,10 @@ class ResultsWriter:
             raise self._unusable(error) from error
         self._map.add(scene)
         self._messages.write(step)
+
+    def write_packet(self, packet: Packet):
+        """Put a packet of the video among the messages."""
+        self._messages.write_packet(packet, self._size)
 
     def close(self, summary: dict[str, Any] | None = None):
         """Complete all files; a second call does nothing.

@@ -17,8 +17,8 @@ from mv_slapse.tools import eval as evaluation
 from mv_slapse.tools import report
 from mv_slapse.tools.plain import plain
 from mv_slapse.tools.progress import progress_bar
-from mv_slapse.tools.run import lost_message, Summary
 from mv_slapse.tools.run import run as run_video
+from mv_slapse.tools.run_summary import lost_message, Summary
 import numpy as np
 
 LOST = 4

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import importlib
 import importlib.util
 import os
-import subprocess
+import subprocess  # to ask programs for their versions  # nosec B404
 import sys
 
 from mv_slapse.errors import MissingKernels, MvSlapseError, UnusableInput
@@ -168,7 +168,7 @@ def dds() -> Finding:
     command = [sys.executable, '-m', 'mv_slapse.nodes.self_test']
     try:
         done = subprocess.run(command, env=environment, capture_output=True, text=True,
-                              timeout=30)
+                              timeout=30)  # our own module  # nosec B603
     except subprocess.TimeoutExpired:
         return Finding('DDS', False, 'no answer within 30 s', cure, needed=False)
     lines = (done.stdout + done.stderr).strip().splitlines()

@@ -8,6 +8,7 @@ for most of the input, 5 some recordings of a batch failed, 130 interrupted.
 import argparse
 from collections.abc import Sequence
 import json
+import os
 import shlex
 import signal
 import sys
@@ -22,7 +23,11 @@ FAULT, LOST, INTERRUPTED = 1, 4, 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    args = parser().parse_args(arguments)
+    made = parser()
+    if '_ARGCOMPLETE' in os.environ:  # the shell asks what may follow, and nothing else is done
+        import argcomplete
+        argcomplete.autocomplete(made)
+    args = made.parse_args(arguments)
     args.command_line = shlex.join(['mv_slapse', *arguments])
     try:
         return args.function(args)
@@ -92,6 +97,9 @@ def _add_run(commands: Any) -> argparse.ArgumentParser:
     command.add_argument('--overlay', metavar='MP4',
                          help='also write a video with coloured blocks and obstacles')
     command.add_argument('--no-report', action='store_true', help='leave report.html out')
+    command.add_argument('--packets', action='store_true',
+                         help='put the packets of the video into results.mcap, too: a bag that '
+                         'can be run and played again')
     _add_settings(command)
     _add_output_style(command)
     return command
@@ -205,7 +213,7 @@ def _add_output_style(command: argparse.ArgumentParser):
 
 def _run(args: argparse.Namespace) -> int:
     from mv_slapse.storage.camera_info import read_camera
-    from mv_slapse.tools import run
+    from mv_slapse.tools import run, run_summary
     from mv_slapse.tools.history import History
     from mv_slapse.tools.inputs import read_speeds
     from mv_slapse.tools.progress import progress_bar
@@ -216,8 +224,8 @@ def _run(args: argparse.Namespace) -> int:
     with progress_bar(args.quiet or args.json) as progress:
         history = History()
         summary = run.run(args.input, camera, settings, args.output, args.max_frames, progress,
-                          args.topic, args.command_line, speeds, history, args.map)
-    _print(args, summary.to_dict(), run.text(summary, args.output))
+                          args.topic, args.command_line, speeds, history, args.map, args.packets)
+    _print(args, summary.to_dict(), run_summary.text(summary, args.output))
     if not args.no_report:
         from mv_slapse.tools import run_report
         run_report.write(args.output, summary.to_dict(), history)
@@ -227,7 +235,7 @@ def _run(args: argparse.Namespace) -> int:
     if summary.interrupted:
         return INTERRUPTED
     if summary.is_lost:
-        sys.stderr.write(f'mv_slapse: {run.lost_message(summary)}\n')
+        sys.stderr.write(f'mv_slapse: {run_summary.lost_message(summary)}\n')
         return LOST
     return 0
 

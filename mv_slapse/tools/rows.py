@@ -14,7 +14,7 @@ from hashlib import sha256
 import json
 import os
 from pathlib import Path
-import pickle
+import pickle  # of files that this program wrote itself  # nosec B403
 import re
 import tempfile
 from typing import Any
@@ -72,7 +72,7 @@ class Cache:
             _said(_of_vectors())) + '.pickle')
         if not file.exists():
             _write(file, pickle.dumps(decode(case.video, case.camera, settings)))
-        return pickle.loads(file.read_bytes())
+        return pickle.loads(file.read_bytes())  # nosec B301
 
     def figures(self, name: str) -> Path:
         """Return where the figures of a row are kept."""

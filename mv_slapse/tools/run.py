@@ -4,7 +4,7 @@ from array import array
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from importlib import metadata
 from itertools import islice
 from pathlib import Path
@@ -19,18 +19,17 @@ from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.pipeline import Slapse, Step
 from mv_slapse.records import Correspondences, ObstacleState, ScaleStatus, SegmentKind, Speed
-from mv_slapse.storage.archives import SCHEMA_VERSION
 from mv_slapse.storage.message_log import WITH_POSE
 from mv_slapse.storage.results import ResultsWriter
 from mv_slapse.tools.history import History
 from mv_slapse.tools.inputs import open_input, VideoInput
 from mv_slapse.tools.placing import Placing
+from mv_slapse.tools.run_summary import Summary
 import numpy as np
 
 STAGES = ('decode', 'extract', 'filter', 'obstacles', 'write')
 LIBRARIES = ('mv_slapse', 'av', 'numpy', 'scipy', 'opencv-python-headless', 'rosbags')
 ENOUGH_STAMPS = 10_000  # that tell the mean rate: five minutes
-SHARE_OF_POSES = 0.5  # with fewer key frames tracked, the run counts as lost
 
 Progress = Callable[[int, int], None]
 
@@ -61,64 +60,6 @@ class CpuClock:
         return charged
 
 
-@dataclass
-class Summary:
-    """What a run did; the content of ``summary.json``.
-
-    Attributes
-    ----------
-    input, command : str
-    frames, key_frames, poses, broken_segments : int
-        Pictures decoded, pictures that may have a pose, those that have one, pairs without
-        vectors.
-    broken_reasons, statuses : dict
-        How often each reason, and each tracking status, occurred.
-    scale_status, scale_source : str
-    planes, obstacles_confirmed : int
-        Planes ever in the map, obstacles ever confirmed.
-    fps, first_stamp, last_stamp : float
-        Mean rate of the pictures [1/s], stamps of the first and the last key frame [s].
-    cpu_seconds : dict
-        By stage, and the sum.
-    known_map, camera, settings, versions : dict
-    warnings : list of str
-    """
-
-    input: str
-    command: str = ''
-    schema_version: int = SCHEMA_VERSION
-    frames: int = 0
-    key_frames: int = 0
-    poses: int = 0
-    broken_segments: int = 0
-    broken_reasons: dict[str, int] = field(default_factory=dict)
-    statuses: dict[str, int] = field(default_factory=dict)
-    reasons: dict[str, int] = field(default_factory=dict)
-    scale_status: str = 'unknown'
-    scale_source: str = ''
-    planes: int = 0
-    obstacles_confirmed: int = 0
-    fps: float = 0.0
-    first_stamp: float = 0.0
-    last_stamp: float = 0.0
-    interrupted: bool = False
-    known_map: dict[str, Any] = field(default_factory=dict)
-    cpu_seconds: dict[str, float] = field(default_factory=dict)
-    camera: dict[str, Any] = field(default_factory=dict)
-    settings: dict[str, Any] = field(default_factory=dict)
-    versions: dict[str, str] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether most key frames have no pose."""
-        return self.poses < SHARE_OF_POSES * self.key_frames
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the content of ``summary.json``."""
-        return asdict(self)
-
-
 class Decoded(NamedTuple):
     """A video's correspondences, the stamps of its packets [ns], and the CPU time it took [s]."""
 
@@ -131,7 +72,8 @@ class Decoded(NamedTuple):
 def run(input: str | Path, camera: Camera | None, settings: Settings, output: str | Path,
         max_frames: int | None = None, progress: Progress | None = None,
         topic: str | None = None, command: str = '', speeds: Iterable[Speed] = (),
-        history: History | None = None, known_map: str | Path | None = None) -> Summary:
+        history: History | None = None, known_map: str | Path | None = None,
+        with_packets: bool = False) -> Summary:
     """Run everything on a video file, a URL or a bag and write the folder of results.
 
     Parameters
@@ -149,7 +91,10 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
         Of the vehicle, with the stamps of the video's clock; these make the scale metric.
     history : History or None
         Is told of each key frame.
-    known_map : map.json of an earlier run, in whose frame the results are where it is found again
+    known_map : str, Path or None
+        ``map.json`` of an earlier run, in whose frame the results are where it is found again.
+    with_packets : bool
+        Put the packets of the video into ``results.mcap``, too.
 
     Raises
     ------
@@ -163,6 +108,7 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
         camera = _camera(camera, source, str(input))
         session = _Session(source, str(input), camera, settings, speeds)
         session.history, session.placing = history, Placing(known_map)
+        session.with_packets = with_packets
         session.summary.command = command
         with ResultsWriter(output, camera=camera) as writer:
             try:
@@ -201,28 +147,6 @@ def replay(decoded: Decoded, camera: Camera, settings: Settings, output: str | P
     return _checked(session.summary)
 
 
-def text(summary: Summary, output: str | Path) -> str:
-    """Return what a run reports on the terminal."""
-    s, total = summary, summary.cpu_seconds['total']
-    stages = ', '.join(f'{name} {seconds:.2f}' for name, seconds in s.cpu_seconds.items()
-                       if name != 'total')
-    scale = f'{s.scale_status} ({s.scale_source})' if s.scale_source else s.scale_status
-    lines = [f'{s.input}: {s.frames} frames, {s.key_frames} key frames, {s.poses} with a pose, '
-             f'{s.broken_segments} broken segments',
-             f'scale {scale}; {s.planes} planes, {s.obstacles_confirmed} obstacles confirmed',
-             f'CPU {total:.2f} s, {1000 * total / max(s.frames, 1):.1f} ms a frame ({stages})',
-             *(f'warning: {warning}' for warning in s.warnings), f'results in {output}']
-    return '\n'.join(lines)
-
-
-def lost_message(summary: Summary) -> str:
-    """Return why a run counts as lost, and what to do."""
-    causes = [*summary.reasons] or [*summary.broken_reasons] or ['unknown']
-    return (f'{summary.input}: tracking was lost for most of the input, {summary.poses} of '
-            f'{summary.key_frames} key frames have a pose (most often: {causes[0]}); see '
-            'mv_slapse inspect, and check the camera file')
-
-
 class _Session:
     """A run in progress."""
 
@@ -241,6 +165,7 @@ class _Session:
         self._stamps = array('q')
         self.history: History | None = None
         self.placing = Placing(None)
+        self.with_packets = False
         self.summary = Summary(name)
 
     def play(self, writer: ResultsWriter, max_frames: int | None, progress: Progress | None):
@@ -249,6 +174,9 @@ class _Session:
         packets = islice(self._source.packets, max_frames)
         # reading is charged to decoding: it may be a decoder and an encoder of their own
         while (packet := self._decode(next, packets, None)) is not None:
+            if self.with_packets:
+                with self._clock.stage('write'):
+                    writer.write_packet(packet)
             self._take(self._decode(self._decoder.feed, packet), writer)
             if len(self._stamps) < ENOUGH_STAMPS:
                 self._stamps.append(packet.stamp)

@@ -3,11 +3,11 @@
 import argparse
 from pathlib import Path
 
-from mv_slapse.nodes.states import ALL, Condition, CONDITIONS, Kind
+from mv_slapse.states import ALL, Condition, CONDITIONS, Kind
 
 HEAD = """# Diagnostics
 
-Written by `make config` from `mv_slapse/nodes/states.py`; do not edit.
+Written by `make config` from `mv_slapse/states.py`; do not edit.
 
 Each node publishes its state on `/diagnostics` once a second of real time, whatever `/clock`
 does. The message begins with the kind of the state and says the reason and the next step; beside

@@ -97,7 +97,7 @@ def test_who_is_first_stays(item, tmp_path):
 
 
 def test_most_key_frames_without_a_pose_is_lost(item, tmp_path, monkeypatch):
-    monkeypatch.setattr('mv_slapse.tools.run.SHARE_OF_POSES', 1.1)
+    monkeypatch.setattr('mv_slapse.tools.run_summary.SHARE_OF_POSES', 1.1)
     row = ran(item, tmp_path)
     assert (row['status'], row['exit_code']) == ('lost', 4)
     assert 'tracking was lost' in row['reason']

@@ -23,8 +23,8 @@ from mv_slapse.nodes.plane_extraction import PlaneExtractionNode  # noqa: E402
 from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
 from mv_slapse.nodes.shell import Shell  # noqa: E402
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
-from mv_slapse.nodes.states import CONDITIONS, Kind  # noqa: E402
 from mv_slapse.records import ScaleStatus, TrackingStatus  # noqa: E402
+from mv_slapse.states import CONDITIONS, Kind  # noqa: E402
 from mv_slapse.storage.archives import map_content, write_json  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences, PlaneMap, PlaneObservations  # noqa: E402

@@ -88,4 +88,10 @@ def test_the_launch_file_loads_in_the_real_launch():
     pytest.importorskip('launch_ros')
     from launch.launch_description_sources import get_launch_description_from_python_launch_file
     description = get_launch_description_from_python_launch_file(str(LAUNCH_FILE))
-    assert len(description.entities) == 11
+    assert len(description.entities) == 13
+
+
+def test_the_viewer_shows_the_frame_that_it_is_told():
+    cmd = resolve(rviz='true', fixed_frame='map')['rviz2'].cmd
+    assert cmd[cmd.index('-f') + 1] == 'map'
+    assert 'rviz2' not in resolve()

@@ -1,7 +1,7 @@
 """A short form of each long test of this folder, with the seeds of the long ones."""
 
 import pytest
-from reliability import fuzz, mutants, planted, soak
+from reliability import fuzz, interruptions, mutants, planted, soak
 
 
 @pytest.mark.parametrize(('target', 'cases'), [
@@ -16,6 +16,23 @@ def test_half_a_minute_of_video_changes_nothing_that_stays(tmp_path):
     found = soak.play(0.2, str(tmp_path))
     assert found['threads and files constant']
     assert found['pairs'] > 30
+
+
+@pytest.fixture(scope='module')
+def scene(tmp_path_factory):
+    return interruptions.Scene(tmp_path_factory.mktemp('scene'), 24)
+
+
+def test_a_full_disk_leaves_whole_files_and_says_so(scene):
+    assert interruptions.full_disk(scene, 3) == []
+
+
+def test_a_run_that_is_killed_leaves_whole_files(scene):
+    assert interruptions.kills(scene, 4) == []
+
+
+def test_a_cut_bag_is_read_as_far_as_it_goes(scene):
+    assert interruptions.cuts(scene, 12) == []
 
 
 @pytest.mark.parametrize('number', range(len(planted.PLANTED)))

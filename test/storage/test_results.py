@@ -115,7 +115,7 @@ def test_the_bag_holds_what_the_nodes_publish(out, steps):
     reader = BagReader(out / 'results.mcap')
     assert {'/correspondences', '/planes/observations', '/planes/map', '/planes/handover',
             '/obstacles', '/odometry', '/pose', '/twist', '/path', '/tf', '/tf_static',
-            '/planes/map_markers', '/obstacles/markers', '/obstacles/points',
+            '/planes/map_markers', '/obstacles/markers', '/obstacles/points', '/diagnostics',
             '/obstacles/polygons'} == set(reader.topics)
     messages = {topic: [msg for _, msg in reader.messages([topic])] for topic in reader.topics}
     assert (len(messages['/odometry']), len(messages['/planes/map'])) == (2, 4)

@@ -1,9 +1,11 @@
 from dataclasses import replace
 import json
+import os
 import re
 import subprocess
 import sys
 
+from conftest import ROOT
 from mv_slapse.codec.encoding.encoder import write_video
 from mv_slapse.simulation.wheels import drawn_speeds
 from mv_slapse.storage.bag_reader import BagReader
@@ -11,7 +13,7 @@ from mv_slapse.storage.tables import read_speeds, write_speeds
 from mv_slapse.storage.tum import read_trajectory
 from mv_slapse.tools import main as command_line
 from mv_slapse.tools import run
-from mv_slapse.tools.run import Summary
+from mv_slapse.tools.run_summary import Summary
 import numpy as np
 import pytest
 
@@ -218,3 +220,13 @@ def test_the_module_runs_as_a_program(tmp_path):
     assert done.returncode == 3
     assert done.stderr.startswith('mv_slapse inspect: ')
     assert 'Traceback' not in done.stderr
+
+
+def test_the_shell_is_told_what_may_follow(tmp_path):
+    pytest.importorskip('argcomplete')
+    line = 'mv_slapse run --camera-'
+    subprocess.run([sys.executable, '-m', 'mv_slapse'], check=False, cwd=tmp_path, env={
+        **os.environ, '_ARGCOMPLETE': '1', '_ARGCOMPLETE_STDOUT_FILENAME': str(tmp_path / 'out'),
+        'COMP_LINE': line, 'COMP_POINT': str(len(line)), 'PYTHONPATH': str(ROOT)})
+    assert '--camera-height' in (tmp_path / 'out').read_text()
+    assert '--overlay' not in (tmp_path / 'out').read_text()

@@ -4,10 +4,12 @@ from mv_slapse.codec.encoding.encoder import Encoding, write_video
 from mv_slapse.config import Settings
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
+from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.storage.tum import read_trajectory
 from mv_slapse.tools import run as tool
-from mv_slapse.tools.run import CpuClock, Summary
+from mv_slapse.tools.run import CpuClock
+from mv_slapse.tools.run_summary import lost_message, Summary
 import numpy as np
 from pictures import sliding
 import pytest
@@ -113,7 +115,7 @@ def test_a_run_is_lost_where_most_key_frames_have_no_pose(poses, lost):
 def test_a_lost_run_says_why():
     summary = Summary('a.mp4', key_frames=10, reasons={'too few vectors': 7, 'no plane': 1})
     assert '0 of 10 key frames have a pose (most often: too few vectors)' in (
-        tool.lost_message(summary))
+        lost_message(summary))
 
 
 def test_the_clock_charges_time_to_the_stage_that_took_it():
@@ -121,3 +123,15 @@ def test_the_clock_charges_time_to_the_stage_that_took_it():
     assert clock.charge(lambda n: sum(range(n)), 'filter')(300_000) > 0
     assert clock.seconds['filter'] > 0
     assert clock.seconds['decode'] == 0
+
+
+def test_results_with_packets_are_a_bag_that_gives_the_same_again(clip, tmp_path, call):
+    assert call('run', clip.video, '--camera', clip.camera, '--camera-height', 1.65, '--packets',
+                '-o', tmp_path / 'a', '--quiet', '--no-report')[0] == 0
+    assert call('run', tmp_path / 'a' / 'results.mcap', '--camera-height', 1.65,
+                '-o', tmp_path / 'b', '--quiet', '--no-report')[0] == 0
+    for name in ('trajectory.tum', 'planes.csv', 'obstacles.csv'):
+        assert (tmp_path / 'a' / name).read_bytes() == (tmp_path / 'b' / name).read_bytes()
+    messages = list(BagReader(tmp_path / 'a' / 'results.mcap').messages(['/diagnostics']))
+    assert 1 <= len(messages) <= 3
+    assert messages[-1][1].status[0].name == 'mv_slapse'

@@ -1,7 +1,7 @@
 from pathlib import Path
 
 from mv_slapse.nodes.settings import NODE_SETTINGS
-from mv_slapse.nodes.states import CONDITIONS, Kind
+from mv_slapse.states import CONDITIONS, Kind
 from mv_slapse.tools import state_table
 
 PAGE = Path(__file__).resolve().parents[2] / 'docs' / 'diagnostics.md'
