@@ -28,7 +28,7 @@ from mv_slapse.records import (
     Label,
     MotionStatus,
 )
-from mv_slapse.surfaces import depth_grid, ground, joint, plane_search
+from mv_slapse.surfaces import ground, joint, plane_search
 from mv_slapse.surfaces.block_map import BaselineRatio, BlockMap
 from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride
 from mv_slapse.surfaces.plane_search import PlaneFit
@@ -108,7 +108,7 @@ class PlaneExtractor:
         blank, evidence = status.only(whole, rows), seen[rows]
         pair = evidence.pair
         found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor,
-                                                  free[rows], road[rows]))
+                                                  free[rows], road[rows], known[rows], length))
         found = self._moving(blank, pair, self._named(found), floor, ratio)
         found = self._refined(pair, found, floor)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
@@ -242,7 +242,7 @@ class PlaneExtractor:
                                       prior.normal * prior.inverse_depth, prior.spread)
 
     def _planes(self, blank, pair, evidence, fit, ratio, prior: GroundPrior,
-                free, road: np.ndarray) -> list[PlaneFit]:
+                free, road: np.ndarray, kn, length) -> list[PlaneFit]:
         """Find the ground, then known planes, then new ones, among stationary blocks."""
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
         free = free & evidence.has_depth
@@ -252,24 +252,17 @@ class PlaneExtractor:
             found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
         known = self._known(blank, fit, ratio)
-        depths = self._carried(pair, replace(depths, sigma=evidence.blur), fit, ratio)
+        depths = replace(depths, sigma=evidence.blur)
+        if np.isfinite(ratio.sigma):
+            depths = self._map(blank).joined(pair, kn, fit, length, depths)
         walls, known = plane_search.stationary_planes(
             depths, free, known,
             prior.normal if floor is None else floor.plane / np.linalg.norm(floor.plane),
             self._settings, self._settings.max_planes - len(found), self._memory.next_id)
         newest = int(known.id.max(initial=-1))
         self._memory = replace(
-            self._memory, planes=known, next_id=max(self._memory.next_id, newest + 1),
-            grid=depth_grid.noted(blank.width, blank.height, depths, free))
+            self._memory, planes=known, next_id=max(self._memory.next_id, newest + 1))
         return found + walls
-
-    def _carried(self, pair, depths: Depths, fit: MotionFit, ratio) -> Depths:
-        """Join the depths of a pair with those that the pairs before have left."""
-        grid = self._memory.grid
-        if grid is None or not np.isfinite(ratio.sigma):
-            return depths
-        return depth_grid.joined(depths, *grid.predicted(
-            pair, fit.R_cur_from_prev, fit.t_cur_from_prev, float(np.exp(ratio.log))))
 
     def _known(self, blank, fit: MotionFit, ratio) -> KnownPlanes:
         """Predict the planes of the last pair; none where this pair does not follow it."""
@@ -390,5 +383,5 @@ class PlaneExtractor:
         self._memory = Memory(
             blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
             self._memory.planes, possibly_dynamic.painted(found.moving), self._memory.height,
-            self._memory.grid, past.noted(blank.stamp, depths_of(pair, blank, evidence, still)),
+            past.noted(blank.stamp, depths_of(pair, blank, evidence, still)),
             self._memory.map)

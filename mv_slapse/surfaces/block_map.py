@@ -14,19 +14,21 @@ from mv_slapse.changed import replace
 from mv_slapse.geometry import epipolar, two_view
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.estimate import MotionFit
+from mv_slapse.motion.observations import Depths
 import numpy as np
 
 # Of the kernel [sigma] in each step; the second judges the starts.
 WIDTHS = np.array((8.0, 4.0) + 6 * (2.5,))
 SURE_START = 0.3  # error of a pair's own depth, as a share, with which it tells a first length
+import os
+SHARED = float(os.environ.get('SHARED', '0'))
+DRIFT = float(os.environ.get('DRIFT', '.01'))
 LEAST_KNOWN = 20  # blocks with a depth; fewer cannot tell a length from their outliers
 
 POLICY = {
     # Interpolation between points: largest difference from the three nearest, as a share; width of
     # the weight [px]; roughness of a surface, as a share; most that the slope may change a depth.
     'same_surface': 0.25, 'spread': 12.0, 'roughness': 0.1, 'slack': 0.3,
-    # Nearest points that are asked, and those of them that count as the block's own.
-    'neighbours': 14, 'ring': 4,
     'relief': 0.02,  # of a surface between points, as a share of depth
     'weak': 1.0,  # standard deviation of the inverse depth of a block that the map does not know
     'inflation': 0.005,  # share by which depths become less sure in each pair
@@ -143,9 +145,26 @@ class BlockMap:
 
     def _fitted(self, pair, known, starts) -> MapMotion:
         """Return the motion from the best of some starts (R, t)."""
-        rows = np.array([np.r_[np.ravel(R), t] for R, t in starts])
+        rows = np.array([(*R.flat, *t) for R, t in starts])
         R, t, A, length, _ = compiled.fit_to_map(columns(pair), known, rows, WIDTHS, POLICY)
         return MapMotion(R, t, _covariance(A, t), float(1 / np.sqrt(max(length, 1e-12))))
+
+    def joined(self, pair: two_view.Pair, known: np.ndarray, fit: MotionFit, length: float,
+               depths: Depths) -> Depths:
+        """Return a pair's depths (N,) with what the map knew of them, unless it contradicts.
+
+        ``fit`` is the pair's motion, ``length`` its baseline [map unit], ``known`` of its blocks.
+        """
+        t = length * fit.t_cur_from_prev
+        turned = pair.rays_prev @ fit.R_cur_from_prev[2]
+        ahead = turned + known[:, 0] * t[2]
+        told = np.isfinite(known[:, 1]) & (ahead > 1e-6)
+        ahead = np.where(told, ahead, 1)
+        rho = np.where(told, length * known[:, 0] / ahead, 0)
+        slope = length * turned / ahead**2
+        information = np.where(told, 1 / (slope**2 * known[:, 1] + (DRIFT * rho)**2 + SHARED * depths.sigma**2), 0)
+        mean, sigma = compiled.join_depths(depths.rho, depths.sigma, rho, information, 9.0)
+        return replace(depths, rho=mean, sigma=sigma)
 
     def moved(self, stamp: int, motion: tuple, pair: two_view.Pair, known: np.ndarray,
               size: tuple[int, int]) -> 'BlockMap':
@@ -155,7 +174,7 @@ class BlockMap:
         """
         R, t = motion
         points = compiled.fuse_map(
-            self.points, columns(pair), known, np.r_[np.ravel(R), t],
+            self.points, columns(pair), known, np.append(R, t),
             (pair.K, np.array(size, np.int64)), POLICY)
         return replace(self, points=points, stamp=stamp, R=R,
                        velocity=1e9 * t / max(stamp - self.stamp, 1))

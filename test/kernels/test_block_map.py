@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 SIZE = np.array([WIDTH, HEIGHT])
+CLOSE = 4  # nearest points, which count as a block's own
 EXACT = POLICY | {'relief': 1e-9}
 
 
@@ -31,14 +32,14 @@ def known_at(points, x):
     at, z = pixels(seen), seen[:, 2]
     near = np.all(np.abs(np.floor((at + 0.5) / 16) - np.floor((x + 0.5) / 16)) <= 2, axis=1)
     square = np.where(near, np.sum((at - x)**2, axis=1), np.inf)
-    order = np.argsort(square, kind='stable')[:POLICY['neighbours']]
+    order = np.argsort(square, kind='stable')
     order = order[square[order] < 32.0**2]
-    if len(order) < 4:
+    if len(order) < CLOSE:
         return 0, np.inf, 0
     rho, variance = seen[order, 3] / z[order], seen[order, 4] / z[order]**2
     middle = np.median(rho[:3])
     same = np.abs(rho - middle) < POLICY['same_surface'] * abs(middle) + 2 * np.sqrt(variance)
-    if same.sum() < 4:
+    if same.sum() < CLOSE:
         return 0, np.inf, 0
     far = 1 + square[order] / POLICY['spread']**2
     weight = same / (far**2 * (variance + (POLICY['roughness'] * middle)**2 + 1e-12))
@@ -48,7 +49,7 @@ def known_at(points, x):
     found = np.linalg.solve(A, b)[0]
     if not abs(found - b[0]) < POLICY['slack'] * abs(b[0]):
         return 0, np.inf, 0
-    ring = same & (np.arange(len(order)) >= POLICY['ring'])
+    ring = same & (np.arange(len(order)) >= CLOSE)
     return found, weight @ variance, rho[ring].mean() if ring.sum() >= 2 else b[0]
 
 
