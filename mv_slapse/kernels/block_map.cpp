@@ -311,7 +311,61 @@ Fit terms(const Foretold& pair, const TwoView& view, double width) {
 
 constexpr std::size_t EVERY = 3;  // of the blocks, by which starts are judged
 
-// -> R (3, 3), t (3,), A (6, 6), information about the log of |t|, mean robust cost
+// Number of blocks whose depth both the map and the pair's own motion, |t| = 1, tell (to the share
+// ``sure``), and the median of the length [map unit] that they give it.
+py::tuple told_length(const py::tuple& pair_, const py::object& known_, const py::object& R,
+                      const py::object& t, double sure) {
+  constexpr auto kernel = "told_length";
+  require(pair_.size() == 4, kernel, "a pair has rays_cur, rays_prev, sigma, focal");
+  const PairArrays pair(kernel, pair_[0], pair_[1], pair_[2]);
+  const TwoView view = two_view(kernel, R, t, pair_[3]);
+  const auto known = known_of(kernel, known_, pair.rays_cur.size());
+  std::vector<double> lengths;
+  // In camera k-1, where the map's depths are: x_prev ~ x + rho u with x = R^T x_cur.
+  const Mat3 back = transposed(view.R);
+  const Vec3 u = back * (-1.0 * view.t);
+  for (std::size_t i = 0; i < pair.size(); ++i) {
+    if (!known[i].any() || !(known[i].rho > 0)) continue;
+    const Vec3 a = back * Vec3{pair.rays_cur(i, 0), pair.rays_cur(i, 1), 1};
+    const double x = a[0] / a[2], y = a[1] / a[2];
+    const double gx = (u[0] - x * u[2]) * view.fx, gy = (u[1] - y * u[2]) * view.fy;
+    const double square = std::max(gx * gx + gy * gy, 1e-18);
+    const double rho = ((pair.rays_prev(i, 0) - x) * view.fx * gx +
+                        (pair.rays_prev(i, 1) - y) * view.fy * gy) / square;
+    const double ahead = 1 - rho * u[2];
+    if (ahead * ahead * pair.sigma[i] < sure * rho * std::sqrt(square))
+      lengths.push_back(rho / known[i].rho);
+  }
+  const auto count = lengths.size();
+  return py::make_tuple(count, middle_of(std::move(lengths)));
+}
+
+// Covariance of (w, t / |t|) by the information A (6, 6) about (w, t).
+std::array<double, 36> covariance_of(const double* A, const Vec3& t) {
+  std::array<double, 36> P, half{}, out{};
+  std::copy_n(A, 36, P.begin());
+  double trace = 0;
+  for (int r = 0; r < 6; ++r) trace += P[7 * r];
+  for (int r = 0; r < 6; ++r) P[7 * r] += 1e-12 * trace;  // what no block tells: wide open, finite
+  pseudo_inverse(P.data(), 6);
+  const double length = std::max(norm(t), 1e-12);
+  double D[36] = {};
+  for (int r = 0; r < 3; ++r) {
+    D[7 * r] = 1;
+    for (int s = 0; s < 3; ++s)
+      D[6 * (3 + r) + 3 + s] = ((r == s) - t[r] * t[s] / (length * length)) / length;
+  }
+  for (int r = 0; r < 6; ++r)
+    for (int s = 0; s < 6; ++s)
+      for (int k = 0; k < 6; ++k) half[6 * r + s] += D[6 * r + k] * P[6 * k + s];
+  for (int r = 0; r < 6; ++r)
+    for (int s = 0; s < 6; ++s)
+      for (int k = 0; k < 6; ++k) out[6 * r + s] += half[6 * r + k] * D[6 * s + k];
+  return out;
+}
+
+// -> R (3, 3), t (3,), A (6, 6) with the covariance (6, 6) of (w, t / |t|), information about the
+// log of |t|, mean robust cost
 py::tuple fit_to_map(const py::tuple& pair_, const py::object& known_, const py::object& starts_,
                      const py::object& widths_, const py::dict& is) {
   constexpr auto kernel = "fit_to_map";
@@ -353,7 +407,8 @@ py::tuple fit_to_map(const py::tuple& pair_, const py::object& known_, const py:
   }
   Out<double> A({6, 6});
   std::copy_n(now.A, 36, A.data());
-  return py::make_tuple(matrix_of(view.R, {3, 3}), matrix_of(view.t, {3}), A.array(), now.length,
+  return py::make_tuple(matrix_of(view.R, {3, 3}), matrix_of(view.t, {3}), A.array(),
+                        matrix_of(covariance_of(now.A, view.t), {6, 6}), now.length,
                         now.cost / std::max<double>(1, static_cast<double>(pair.size())));
 }
 
@@ -503,6 +558,7 @@ py::array_t<double> fuse_map(const py::object& points_, const py::tuple& pair_,
 void bind_block_map(kernels::py::module_& module) {
   using namespace kernels;
   module.def("map_at", map_at);
+  module.def("told_length", told_length);
   module.def("fit_to_map", fit_to_map);
   module.def("fuse_map", fuse_map);
 }

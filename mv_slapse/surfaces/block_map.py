@@ -8,10 +8,11 @@ fitted to it in six degrees of freedom. Depths are filtered as in semi-dense vis
 """
 
 from dataclasses import dataclass, field
+import math
 from typing import NamedTuple
 
 from mv_slapse.changed import replace
-from mv_slapse.geometry import epipolar, two_view
+from mv_slapse.geometry import two_view
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.motion.observations import Depths
@@ -69,7 +70,7 @@ class MapMotion(NamedTuple):
     @property
     def length(self) -> float:
         """Return |t| [map unit]."""
-        return float(np.linalg.norm(self.t))
+        return math.hypot(*self.t)
 
 
 @dataclass(frozen=True)
@@ -111,13 +112,14 @@ class BlockMap:
         Where the map does not tell these, the pair's own motion and the usual length [map unit].
         """
         way = self.moving(pair, known, fit, 1e-9 * (stamp - self.stamp))
-        if way is None or way.length == 0:
+        length = way.length if way else 0.0
+        if not length:
             return fit, self.usual(stamp), BaselineRatio()
-        fit = replace(fit, R_cur_from_prev=way.R, t_cur_from_prev=way.t / way.length,
+        fit = replace(fit, R_cur_from_prev=way.R, t_cur_from_prev=way.t / length,
                       covariance=way.covariance)
-        ratio = (BaselineRatio(float(np.log(way.length / self.length)), way.sigma)
+        ratio = (BaselineRatio(math.log(length / self.length), way.sigma)
                  if self.length else BaselineRatio())
-        return fit, way.length, ratio
+        return fit, length, ratio
 
     def moving(self, pair: two_view.Pair, known: np.ndarray, fit: MotionFit,
                dt: float) -> MapMotion | None:
@@ -127,15 +129,11 @@ class BlockMap:
         the last pair, and from the last motion, over ``dt`` [s].
         """
         R, t, way = fit.R_cur_from_prev, fit.t_cur_from_prev, self.velocity * dt
-        rho, per_pixel = epipolar.inverse_depth(pair.rays_prev, pair.rays_cur, pair.focal, R.T,
-                                                -R.T @ t)
-        sure = np.isfinite(known[:, 1]) & (per_pixel * pair.sigma < SURE_START * rho)
-        sure &= known[:, 0] > 0
-        if np.count_nonzero(sure) < LEAST_KNOWN:
+        n_sure, length = compiled.told_length(columns(pair), known, R, t, SURE_START)
+        if n_sure < LEAST_KNOWN:
             return None
-        length = float(np.median(rho[sure] / known[sure, 0]))
-        return self._fitted(pair, known, [(R, length * t), (R, np.linalg.norm(way) * t), (R, way),
-                                          (self.R, way)])
+        return self._fitted(pair, known, [(R, length * t), (R, math.hypot(*way) * t),
+                                          (R, way), (self.R, way)])
 
     def turning(self, pair: two_view.Pair, known: np.ndarray, R: np.ndarray) -> MapMotion | None:
         """Return the little motion of a camera that seems to turn on the spot by R (3, 3)."""
@@ -146,8 +144,9 @@ class BlockMap:
     def _fitted(self, pair, known, starts) -> MapMotion:
         """Return the motion from the best of some starts (R, t)."""
         rows = np.array([(*R.flat, *t) for R, t in starts])
-        R, t, A, length, _ = compiled.fit_to_map(columns(pair), known, rows, WIDTHS, POLICY)
-        return MapMotion(R, t, _covariance(A, t), float(1 / np.sqrt(max(length, 1e-12))))
+        R, t, _, covariance, told, _ = compiled.fit_to_map(columns(pair), known, rows, WIDTHS,
+                                                           POLICY)
+        return MapMotion(R, t, covariance, 1 / math.sqrt(max(told, 1e-12)))
 
     def joined(self, pair: two_view.Pair, known: np.ndarray, fit: MotionFit, length: float,
                depths: Depths) -> Depths:
@@ -199,12 +198,3 @@ class BlockMap:
 def columns(pair: two_view.Pair) -> tuple:
     """Return a pair as the kernels take it."""
     return pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal
-
-
-def _covariance(A: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the covariance of (w, t / |t|) by the information about (w, t)."""
-    length = max(float(np.linalg.norm(t)), 1e-12)
-    D = np.eye(6)
-    D[3:, 3:] = (np.eye(3) - np.outer(t, t) / length**2) / length
-    # What no block tells is left wide open, yet finite.
-    return D @ np.linalg.inv(A + 1e-12 * np.trace(A) * np.eye(6)) @ D.T

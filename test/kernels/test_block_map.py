@@ -8,6 +8,7 @@ from mv_slapse.surfaces.block_map import columns, POLICY, WIDTHS
 from numeric import jacobian
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 SIZE = np.array([WIDTH, HEIGHT])
 CLOSE = 4  # nearest points, which count as a block's own
@@ -188,11 +189,31 @@ def test_its_information_is_that_of_the_numerical_derivative(name):
     C = 0.3**2 * np.eye(2) + known[:, 1, None, None] * g[:, :, None] * g[:, None]
     expected = np.einsum('nik,nij,njl->kl', J, np.linalg.inv(C), J)
     start = np.r_[scene.R.ravel(), scene.t][None]
-    _, _, A, length, _ = compiled.fit_to_map(columns(pair), known, start, WIDTHS, EXACT)
+    *_, A, covariance, length, _ = compiled.fit_to_map(columns(pair), known, start, WIDTHS,
+                                                       EXACT)
     np.testing.assert_allclose(A, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
+    unit = jacobian(lambda e: (scene.t + e) / np.linalg.norm(scene.t + e), np.zeros(3))
+    D = block_diag(np.eye(3), unit)
+    np.testing.assert_allclose(covariance, D @ np.linalg.inv(A) @ D.T, rtol=1e-4,
+                               atol=1e-6 * covariance.max())
     along = np.sum(g * g, axis=1)
     assert length == pytest.approx(np.sum(known[:, 0]**2 * along / (
         0.3**2 + known[:, 1] * along)), rel=1e-4)
+
+
+@pytest.mark.parametrize('name', MOTIONS)
+def test_the_length_that_a_map_tells(name, rng):
+    scene, known = exact(name)
+    known[:, :2] *= (1 / 1.7, 1)  # the map's unit is 1.7 baselines
+    known[rng.random(len(known)) < 0.1, 1] = np.inf
+    pair = scene.pair
+    rho, per_pixel = epipolar.inverse_depth(pair.rays_prev, pair.rays_cur, pair.focal, scene.R.T,
+                                            -scene.R.T @ scene.t)
+    sure = np.isfinite(known[:, 1]) & (known[:, 0] > 0) & (per_pixel * pair.sigma < 0.3 * rho)
+    n, length = compiled.told_length(columns(pair), known, scene.R, scene.t, 0.3)
+    assert n == sure.sum() > 100
+    assert length == pytest.approx(np.median(rho[sure] / known[sure, 0]), rel=1e-9)
+    assert length == pytest.approx(1.7, rel=1e-6)
 
 
 def test_wrong_arguments_are_named():
