@@ -412,6 +412,38 @@ py::tuple fit_to_map(const py::tuple& pair_, const py::object& known_, const py:
                         now.cost / std::max<double>(1, static_cast<double>(pair.size())));
 }
 
+// A pair's inverse depths (N,) and their errors, joined with what the map foretold of each unless
+// that contradicts; t [map unit], while the pair's own are in units of its baseline.
+py::tuple join_map(const py::object& rho_, const py::object& sigma_, const py::object& known_,
+                   const py::object& rays_prev, const py::object& R, const py::object& t_,
+                   const py::dict& is) {
+  constexpr auto kernel = "join_map";
+  const In<double> rho(kernel, "rho", rho_, {ANY}, Check::finite);
+  const auto n = rho.size();
+  const In<double> sigma(kernel, "sigma", sigma_, {n}, Check::finite);
+  const In<double> ray(kernel, "rays_prev", rays_prev, {n, 3}, Check::finite);
+  const In<double> turn(kernel, "R", R, {3, 3}, Check::finite);
+  const In<double> t(kernel, "t", t_, {3}, Check::finite);
+  const auto known = known_of(kernel, known_, n);
+  const double length = norm({t[0], t[1], t[2]}), gate = policy(is, "gate"),
+               drift = policy(is, "drift");
+  Out<double> joined({n}), sharper({n});
+  for (py::ssize_t i = 0; i < n; ++i) {
+    joined[i] = rho[i], sharper[i] = sigma[i];
+    const double turned = ray(i, 0) * turn[6] + ray(i, 1) * turn[7] + ray(i, 2) * turn[8];
+    const double ahead = turned + known[i].rho * t[2];
+    if (!known[i].any() || !(ahead > 1e-6)) continue;
+    const double before = length * known[i].rho / ahead, off = before - rho[i];
+    const double slope = length * turned / (ahead * ahead), error = drift * before;
+    const double variance = slope * slope * known[i].variance + error * error;
+    const double noise = sigma[i] * sigma[i], gain = noise / (noise + variance);
+    if (!(off * off < gate * (noise + variance))) continue;
+    joined[i] = rho[i] + gain * off;
+    sharper[i] = sigma[i] * std::sqrt(1 - gain);
+  }
+  return py::make_tuple(joined.array(), sharper.array());
+}
+
 void move(std::vector<Point>& points, const TwoView& view, double inflation) {
   for (Point& p : points) {
     const Vec3 h = view.R * p.ray + p.rho * view.t;
@@ -560,5 +592,6 @@ void bind_block_map(kernels::py::module_& module) {
   module.def("map_at", map_at);
   module.def("told_length", told_length);
   module.def("fit_to_map", fit_to_map);
+  module.def("join_map", join_map);
   module.def("fuse_map", fuse_map);
 }

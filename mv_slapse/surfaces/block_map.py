@@ -21,9 +21,6 @@ import numpy as np
 # Of the kernel [sigma] in each step; the second judges the starts.
 WIDTHS = np.array((8.0, 4.0) + 6 * (2.5,))
 SURE_START = 0.3  # error of a pair's own depth, as a share, with which it tells a first length
-import os
-SHARED = float(os.environ.get('SHARED', '0'))
-DRIFT = float(os.environ.get('DRIFT', '.01'))
 LEAST_KNOWN = 20  # blocks with a depth; fewer cannot tell a length from their outliers
 
 POLICY = {
@@ -32,6 +29,7 @@ POLICY = {
     'same_surface': 0.25, 'spread': 12.0, 'roughness': 0.1, 'slack': 0.3,
     'relief': 0.02,  # of a surface between points, as a share of depth
     'weak': 1.0,  # standard deviation of the inverse depth of a block that the map does not know
+    'drift': 0.01,  # share of a depth by which a pair's motion and the interpolation err
     'inflation': 0.005,  # share by which depths become less sure in each pair
     'epsilon': 3.0,  # [sigma] of the epipolar error, beyond which a block tells no depth
     'gate': 9.0,  # squared, 3 sigma: beyond, a depth contradicts the map
@@ -152,18 +150,11 @@ class BlockMap:
                depths: Depths) -> Depths:
         """Return a pair's depths (N,) with what the map knew of them, unless it contradicts.
 
-        ``fit`` is the pair's motion, ``length`` its baseline [map unit], ``known`` of its blocks.
+        ``fit`` is the pair's motion, ``length`` its baseline [map unit].
         """
-        t = length * fit.t_cur_from_prev
-        turned = pair.rays_prev @ fit.R_cur_from_prev[2]
-        ahead = turned + known[:, 0] * t[2]
-        told = np.isfinite(known[:, 1]) & (ahead > 1e-6)
-        ahead = np.where(told, ahead, 1)
-        rho = np.where(told, length * known[:, 0] / ahead, 0)
-        slope = length * turned / ahead**2
-        information = np.where(told, 1 / (slope**2 * known[:, 1] + (DRIFT * rho)**2 + SHARED * depths.sigma**2), 0)
-        mean, sigma = compiled.join_depths(depths.rho, depths.sigma, rho, information, 9.0)
-        return replace(depths, rho=mean, sigma=sigma)
+        rho, sigma = compiled.join_map(depths.rho, depths.sigma, known, pair.rays_prev,
+                                       fit.R_cur_from_prev, length * fit.t_cur_from_prev, POLICY)
+        return replace(depths, rho=rho, sigma=sigma)
 
     def moved(self, stamp: int, motion: tuple, pair: two_view.Pair, known: np.ndarray,
               size: tuple[int, int]) -> 'BlockMap':

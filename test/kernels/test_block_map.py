@@ -202,6 +202,36 @@ def test_its_information_is_that_of_the_numerical_derivative(name):
 
 
 @pytest.mark.parametrize('name', MOTIONS)
+def test_depths_joined_with_the_map(name, rng):
+    scene, known = exact(name)
+    solid = scene.surface >= 0
+    pair, known, unit = scene.pair[solid], known[solid], 1.7  # [map unit] of the baseline
+    own = scene.rho[solid] * (1 + 0.03 * rng.normal(size=solid.sum()))
+    sigma = 0.03 * scene.rho[solid]
+    known[:, 0] *= (1 + 0.02 * rng.normal(size=len(known))) / unit
+    known[:, 1] = (0.02 * known[:, 0])**2
+    known[::7, 1] = np.inf
+    known[::11, 0] *= 2  # contradicts
+    t = unit * scene.t
+
+    def ahead(rho):
+        """Return what a depth of the map is in camera k [1/baseline]."""
+        return unit * rho / (pair.rays_prev @ scene.R[2] + rho * t[2])
+
+    before = ahead(known[:, 0])
+    slope = np.diag(jacobian(lambda e: ahead(known[:, 0] + e), np.zeros(len(known))))
+    variance = slope**2 * known[:, 1] + (POLICY['drift'] * before)**2
+    good = np.isfinite(known[:, 1])
+    good &= (before - own)**2 < POLICY['gate'] * (variance + sigma**2)
+    gain = np.where(good, sigma**2 / (sigma**2 + np.where(good, variance, 1)), 0)
+    rho, less = compiled.join_map(own, sigma, known, pair.rays_prev, scene.R, t, POLICY)
+    np.testing.assert_allclose(rho, own + gain * np.where(good, before - own, 0), rtol=1e-7)
+    np.testing.assert_allclose(less, sigma * np.sqrt(1 - gain), rtol=1e-6)
+    assert 0.7 < good.mean() < 0.9
+    assert np.std(rho[good] / scene.rho[solid][good]) < 0.7 * np.std(own / scene.rho[solid])
+
+
+@pytest.mark.parametrize('name', MOTIONS)
 def test_the_length_that_a_map_tells(name, rng):
     scene, known = exact(name)
     known[:, :2] *= (1 / 1.7, 1)  # the map's unit is 1.7 baselines
