@@ -44,7 +44,7 @@ MANY_MOVERS = 0.9  # share of blocks left below which the motion is estimated an
 
 
 class Told(NamedTuple):
-    """What the map tells of a pair: its blocks' depths (N, 3), its length [map unit], its ratio."""
+    """What the map tells of a pair: depths of its blocks (N, 3), length [map unit], ratio."""
 
     known: np.ndarray
     length: float
