@@ -426,7 +426,7 @@ py::tuple join_map(const py::object& rho_, const py::object& sigma_, const py::o
   const In<double> t(kernel, "t", t_, {3}, Check::finite);
   const auto known = known_of(kernel, known_, n);
   const double length = norm({t[0], t[1], t[2]}), gate = policy(is, "gate"),
-               drift = policy(is, "drift");
+               drift = policy(is, "drift"), alike = policy(is, "alike");
   Out<double> joined({n}), sharper({n});
   for (py::ssize_t i = 0; i < n; ++i) {
     joined[i] = rho[i], sharper[i] = sigma[i];
@@ -435,8 +435,9 @@ py::tuple join_map(const py::object& rho_, const py::object& sigma_, const py::o
     if (!known[i].any() || !(ahead > 1e-6)) continue;
     const double before = length * known[i].rho / ahead, off = before - rho[i];
     const double slope = length * turned / (ahead * ahead), error = drift * before;
-    const double variance = slope * slope * known[i].variance + error * error;
-    const double noise = sigma[i] * sigma[i], gain = noise / (noise + variance);
+    const double noise = sigma[i] * sigma[i];
+    const double variance = slope * slope * known[i].variance + error * error + alike * noise;
+    const double gain = noise / (noise + variance);
     if (!(off * off < gate * (noise + variance))) continue;
     joined[i] = rho[i] + gain * off;
     sharper[i] = sigma[i] * std::sqrt(1 - gain);

@@ -29,7 +29,9 @@ POLICY = {
     'same_surface': 0.25, 'spread': 12.0, 'roughness': 0.1, 'slack': 0.3,
     'relief': 0.02,  # of a surface between points, as a share of depth
     'weak': 1.0,  # standard deviation of the inverse depth of a block that the map does not know
-    'drift': 0.01,  # share of a depth by which a pair's motion and the interpolation err
+    # A pair's depths are joined with the map's: share by which interpolation errs, and share of
+    # the variance of a depth that it has in common with those before: vectors in a row err alike.
+    'drift': 0.02, 'alike': 0.7,
     'inflation': 0.005,  # share by which depths become less sure in each pair
     'epsilon': 3.0,  # [sigma] of the epipolar error, beyond which a block tells no depth
     'gate': 9.0,  # squared, 3 sigma: beyond, a depth contradicts the map
