@@ -330,7 +330,7 @@ RULES = (
          {MOTION + 'status:stands_still': NO}),
     # Surfaces.
     Rule('depths of earlier pairs', 'inverse depths are carried from pair to pair for planes',
-         {SURFACES + 'depth_grid:joined': FIRST}),
+         {SURFACES + 'block_map:BlockMap.joined': gives(lambda *arguments: arguments[-1])}),
     Rule('motion against the map', 'a pair is fitted to the depths of all before',
          {SURFACES + 'block_map:BlockMap.moving': gives(lambda *_: None)}),
     Rule('mounting learned', 'the ground\'s normal is learned from the courses',

@@ -14,9 +14,13 @@ def replace(record, **fields):
     TypeError
         Where the record has no such field.
     """
-    kind = type(record)
-    if hasattr(kind, '__post_init__') or not fields.keys() <= vars(record).keys():
+    if hasattr(record, '__post_init__') or not fields.keys() <= vars(record).keys():
         return checked(record, **fields)
-    changed = object.__new__(kind)
+    return unchecked(record, **fields)
+
+
+def unchecked(record, **fields):
+    """Return a frozen record with some fields changed to what needs no check, computed here."""
+    changed = object.__new__(type(record))
     vars(changed).update(vars(record), **fields)
     return changed

@@ -12,9 +12,9 @@ from mv_slapse.geometry.blocks import (
     grid_index,
     grid_shape,
     MACROBLOCK,
-    macroblock_of,
 )
 from mv_slapse.geometry.camera import Camera
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Correspondences, Extraction
 import numpy as np
 
@@ -40,11 +40,10 @@ def correspondences_of(given: Correspondences, factor: float) -> Correspondences
     stands for all of the macroblock.
     """
     x = _smaller(given.x_cur, factor)
-    order = np.lexsort((given.sigma, -given.probability))
-    cell = macroblock_of(x[order])
-    _, first = np.unique(cell, axis=0, return_index=True)
-    rows = np.sort(order[first])
     width, height = _size(given.width, given.height, factor)
+    rows = compiled.best_of_cells(
+        grid_index(x, width, height), int(np.prod(grid_shape(width, height))),
+        given.probability.astype(float), given.sigma.astype(float))
     return replace(
         given, width=width, height=height, x_cur=x[rows].astype(np.float32),
         x_prev=_smaller(given.x_prev[rows], factor).astype(np.float32),

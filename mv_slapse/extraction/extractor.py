@@ -1,6 +1,7 @@
 """Planes, camera motion and labels of each key frame pair, [MVO] 4: PlaneExtractor.extract."""
 
 import itertools
+from typing import NamedTuple
 
 from mv_slapse.blas import one_thread
 from mv_slapse.changed import replace
@@ -28,7 +29,7 @@ from mv_slapse.records import (
     Label,
     MotionStatus,
 )
-from mv_slapse.surfaces import depth_grid, ground, joint, plane_search
+from mv_slapse.surfaces import ground, joint, plane_search
 from mv_slapse.surfaces.block_map import BaselineRatio, BlockMap
 from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride
 from mv_slapse.surfaces.plane_search import PlaneFit
@@ -40,6 +41,14 @@ import numpy as np
 PREDICTED_COST, NOISY_COST = 0.35, 0.5
 NOISIER = 1.3  # growth of the noise from pair to pair; B frames make 1.25 by turns, as measured
 MANY_MOVERS = 0.9  # share of blocks left below which the motion is estimated anew without them
+
+
+class Told(NamedTuple):
+    """What the map tells of a pair: depths of its blocks (N, 3), length [map unit], ratio."""
+
+    known: np.ndarray
+    length: float
+    ratio: BaselineRatio
 
 
 class PlaneExtractor:
@@ -107,13 +116,14 @@ class PlaneExtractor:
         rows = np.flatnonzero(~lone | road)
         blank, evidence = status.only(whole, rows), seen[rows]
         pair = evidence.pair
-        found = Found(fit, evidence, self._planes(blank, pair, evidence, fit, ratio, floor,
-                                                  free[rows], road[rows]))
+        told = Told(known[rows], length, ratio)
+        found = Found(fit, evidence, self._planes(blank, evidence, fit, told, floor, free[rows],
+                                                  road[rows]))
         found = self._moving(blank, pair, self._named(found), floor, ratio)
         found = self._refined(pair, found, floor)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
         shown = self._finished(blank, pair, found, noise, floor)
-        self._remember_map(shown, found, known[rows], length)
+        self._remember_map(shown, found, told)
         return shown, rows
 
     def _map(self, whole: Extraction) -> BlockMap:
@@ -126,13 +136,13 @@ class PlaneExtractor:
             whole.stamp, whole.K, (whole.width, whole.height)))
         return replace(whole, reason=reason)
 
-    def _remember_map(self, shown: Extraction, found: Found, known: np.ndarray, length: float):
+    def _remember_map(self, shown: Extraction, found: Found, told: Told):
         """Correct the map by the blocks (N,) that stand still."""
         motion, still = shown.motion, (shown.label != Label.MOVING) & ~found.doubtful
         carried = self._map(shown).moved(
-            shown.stamp, (motion.R_cur_from_prev, length * motion.t_cur_from_prev),
-            found.evidence.pair[still], known[still], (shown.width, shown.height))
-        self._memory = replace(self._memory, map=replace(carried, length=length))
+            shown.stamp, (motion.R_cur_from_prev, told.length * motion.t_cur_from_prev),
+            found.evidence.pair[still], told.known[still], (shown.width, shown.height))
+        self._memory = replace(self._memory, map=replace(carried, length=told.length))
 
     def _blank(self, correspondences: Correspondences, camera: Camera) -> Extraction:
         """Return an extraction that knows nothing yet but undistorted pixels.
@@ -241,9 +251,10 @@ class PlaneExtractor:
         return possibly_dynamic.below(pair.rays_cur, rho, per_pixel * pair.sigma,
                                       prior.normal * prior.inverse_depth, prior.spread)
 
-    def _planes(self, blank, pair, evidence, fit, ratio, prior: GroundPrior,
+    def _planes(self, blank, evidence, fit, told: Told, prior: GroundPrior,
                 free, road: np.ndarray) -> list[PlaneFit]:
         """Find the ground, then known planes, then new ones, among stationary blocks."""
+        pair = evidence.pair
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
         free = free & evidence.has_depth
         found = []
@@ -251,25 +262,18 @@ class PlaneExtractor:
         if floor is not None:
             found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
-        known = self._known(blank, fit, ratio)
-        depths = self._carried(pair, replace(depths, sigma=evidence.blur), fit, ratio)
+        known = self._known(blank, fit, told.ratio)
+        depths = replace(depths, sigma=evidence.blur)
+        if np.isfinite(told.ratio.sigma):
+            depths = self._map(blank).joined(pair, told.known, fit, told.length, depths)
         walls, known = plane_search.stationary_planes(
             depths, free, known,
             prior.normal if floor is None else floor.plane / np.linalg.norm(floor.plane),
             self._settings, self._settings.max_planes - len(found), self._memory.next_id)
         newest = int(known.id.max(initial=-1))
         self._memory = replace(
-            self._memory, planes=known, next_id=max(self._memory.next_id, newest + 1),
-            grid=depth_grid.noted(blank.width, blank.height, depths, free))
+            self._memory, planes=known, next_id=max(self._memory.next_id, newest + 1))
         return found + walls
-
-    def _carried(self, pair, depths: Depths, fit: MotionFit, ratio) -> Depths:
-        """Join the depths of a pair with those that the pairs before have left."""
-        grid = self._memory.grid
-        if grid is None or not np.isfinite(ratio.sigma):
-            return depths
-        return depth_grid.joined(depths, *grid.predicted(
-            pair, fit.R_cur_from_prev, fit.t_cur_from_prev, float(np.exp(ratio.log))))
 
     def _known(self, blank, fit: MotionFit, ratio) -> KnownPlanes:
         """Predict the planes of the last pair; none where this pair does not follow it."""
@@ -390,5 +394,5 @@ class PlaneExtractor:
         self._memory = Memory(
             blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
             self._memory.planes, possibly_dynamic.painted(found.moving), self._memory.height,
-            self._memory.grid, past.noted(blank.stamp, depths_of(pair, blank, evidence, still)),
+            past.noted(blank.stamp, depths_of(pair, blank, evidence, still)),
             self._memory.map)

@@ -7,7 +7,6 @@ from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.movers.reference_depth import Past
 from mv_slapse.records import Extraction
 from mv_slapse.surfaces.block_map import BaselineRatio, BlockMap
-from mv_slapse.surfaces.depth_grid import DepthGrid
 from mv_slapse.surfaces.ground import GroundTrack, Mount
 from mv_slapse.surfaces.height import HeightBelief
 from mv_slapse.surfaces.plane_track import KnownPlanes
@@ -33,7 +32,6 @@ class Memory:
     planes: KnownPlanes = KnownPlanes.none()
     movers: np.ndarray | None = None
     height: HeightBelief = HeightBelief.blank()
-    grid: DepthGrid | None = None
     past: Past = Past()
     map: BlockMap = BlockMap()
 
@@ -42,7 +40,7 @@ class Memory:
         floor = self.ground.plane
         floor = floor if floor is None else R @ floor
         return replace(self, stamp=stamp, previous_stamp=None,
-                       planes=self.planes.turned(R), movers=None, grid=None, past=Past(),
+                       planes=self.planes.turned(R), movers=None, past=Past(),
                        ground=replace(self.ground, plane=floor))
 
     def past_at(self, blank: Extraction, fit: MotionFit, ratio: BaselineRatio) -> Past:

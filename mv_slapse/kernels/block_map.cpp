@@ -82,7 +82,7 @@ struct Picture {
 class View {
  public:
   struct Item {
-    double x, y, rho, variance;  // pixel, inverse depth
+    double x, y, rho, variance, slack;  // pixel, inverse depth, two standard deviations of it
   };
   View(const std::vector<Point>& points, const Picture& picture)
       : columns_(picture.columns + 2 * MARGIN), rows_(picture.rows + 2 * MARGIN) {
@@ -93,7 +93,8 @@ class View {
       const int column = Picture::cell_of(x) + MARGIN, row = Picture::cell_of(y) + MARGIN;
       if (column < 0 || row < 0 || column >= columns_ || row >= rows_) continue;
       const double z = p.ray[2];
-      found.push_back({row * columns_ + column, {x, y, p.rho / z, p.variance / (z * z)}});
+      found.push_back({row * columns_ + column, {x, y, p.rho / z, p.variance / (z * z),
+                                                  2 * std::sqrt(p.variance) / z}});
     }
     start_.assign(columns_ * rows_ + 1, 0);
     for (const auto& [cell, item] : found) ++start_[cell + 1];
@@ -102,26 +103,31 @@ class View {
     auto next = start_;
     for (const auto& [cell, item] : found) items_[next[cell]++] = item;
   }
-  // The points nearest to a pixel within REACH, nearest first: square of the distance, item.
-  void near(double x, double y, int most, std::vector<std::pair<double, const Item*>>& out) const {
+  struct Near {
+    double square;  // of the distance [px^2]
+    const Item* item;
+  };
+  // The points within REACH of a pixel, the CLOSE nearest of them first, in that order.
+  void near(double x, double y, std::vector<Near>& out) const {
     out.clear();
     const int column = Picture::cell_of(x) + MARGIN, row = Picture::cell_of(y) + MARGIN;
-    for (int r = std::max(row - MARGIN, 0); r <= std::min(row + MARGIN, rows_ - 1); ++r)
-      for (int c = std::max(column - MARGIN, 0); c <= std::min(column + MARGIN, columns_ - 1); ++c)
-        for (int i = start_[r * columns_ + c]; i < start_[r * columns_ + c + 1]; ++i) {
-          const double dx = items_[i].x - x, dy = items_[i].y - y, square = dx * dx + dy * dy;
-          if (!(square < REACH * REACH)) continue;
-          // Sorted as they come: there are a dozen, and what comes first stays first.
-          if (out.size() < static_cast<std::size_t>(most))
-            out.emplace_back(square, &items_[i]);
-          else if (square < out.back().first)
-            out.back() = {square, &items_[i]};
-          else
-            continue;
-          for (std::size_t k = out.size() - 1; k > 0 && out[k].first < out[k - 1].first; --k)
-            std::swap(out[k], out[k - 1]);
+    const int left = std::max(column - MARGIN, 0), right = std::min(column + MARGIN, columns_ - 1);
+    for (int r = std::max(row - MARGIN, 0); left <= right && r <= std::min(row + MARGIN, rows_ - 1); ++r)
+      for (int i = start_[r * columns_ + left]; i < start_[r * columns_ + right + 1]; ++i) {
+        const double dx = items_[i].x - x, dy = items_[i].y - y, square = dx * dx + dy * dy;
+        if (!(square < REACH * REACH)) continue;
+        out.push_back({square, &items_[i]});
+        // The place of the last of the nearest is free for it, or nothing moves.
+        std::size_t k = out.size() - 1;
+        if (k >= CLOSE) {
+          if (!(square < out[CLOSE - 1].square)) continue;
+          std::swap(out[k], out[CLOSE - 1]);
+          k = CLOSE - 1;
         }
+        for (; k > 0 && out[k].square < out[k - 1].square; --k) std::swap(out[k], out[k - 1]);
+      }
   }
+  static constexpr std::size_t CLOSE = 4;
 
  private:
   static constexpr int MARGIN = 2;        // macroblocks
@@ -134,43 +140,36 @@ class View {
 struct Interpolation {
   explicit Interpolation(const py::dict& is)
       : same(policy(is, "same_surface")), spread(policy(is, "spread")),
-        roughness(policy(is, "roughness")), slack(policy(is, "slack")),
-        most(static_cast<int>(policy(is, "neighbours"))),
-        ring(static_cast<std::size_t>(policy(is, "ring"))) {}
+        roughness(policy(is, "roughness")), slack(policy(is, "slack")) {}
   double same, spread, roughness, slack;
-  int most;
-  std::size_t ring;
 };
 
 // Inverse depth at a pixel by the plane through the points around it that lie on one surface.
-Known interpolated(const std::vector<std::pair<double, const View::Item*>>& near, double x,
-                   double y, const Interpolation& is) {
+Known interpolated(const std::vector<View::Near>& near, double x, double y,
+                   const Interpolation& is) {
   const Known none{0, INFINITE, 0};
-  if (near.size() < 4) return none;
-  double first[3] = {near[0].second->rho, near[1].second->rho, near[2].second->rho};
-  std::sort(first, first + 3);
-  const double reference = first[1];
+  if (near.size() < View::CLOSE) return none;
+  const double p0 = near[0].item->rho, p1 = near[1].item->rho, p2 = near[2].item->rho;
+  const double reference = std::max(std::min(p0, p1), std::min(std::max(p0, p1), p2));
+  const double same = is.same * std::abs(reference), rough = is.roughness * reference;
   double total = 0, variance = 0, around = 0, A[9] = {}, b[3] = {};
   int n = 0, n_around = 0;
   for (std::size_t k = 0; k < near.size(); ++k) {
-    const View::Item& p = *near[k].second;
-    if (!(std::abs(p.rho - reference) <
-          is.same * std::abs(reference) + 2 * std::sqrt(p.variance)))
-      continue;
-    const double far = 1 + near[k].first / (is.spread * is.spread);
-    const double rough = is.roughness * reference;
+    const View::Item& p = *near[k].item;
+    if (!(std::abs(p.rho - reference) < same + p.slack)) continue;
+    const double far = 1 + near[k].square / (is.spread * is.spread);
     const double weight = 1 / (far * far * (p.variance + rough * rough + 1e-12));
     const double d[3] = {1, (p.x - x) / MACROBLOCK, (p.y - y) / MACROBLOCK};
     for (int i = 0; i < 3; ++i) {
-      for (int j = 0; j < 3; ++j) A[3 * i + j] += weight * d[i] * d[j];
+      for (int j = 0; j <= i; ++j) A[3 * i + j] += weight * d[i] * d[j];
       b[i] += weight * d[i] * p.rho;
     }
     total += weight;
     variance += weight * p.variance;
     ++n;
-    if (k >= is.ring) around += p.rho, ++n_around;
+    if (k >= View::CLOSE) around += p.rho, ++n_around;
   }
-  if (n < 4) return none;
+  if (n < static_cast<int>(View::CLOSE)) return none;
   const double mean = b[0] / total;
   for (auto& a : A) a /= total;
   for (auto& a : b) a /= total;
@@ -189,9 +188,9 @@ py::array_t<double> map_at(const py::object& points_, const py::object& x_, cons
   const View view(points, Picture(kernel, K, size));
   const Interpolation how(is);
   Out<double> out({x.size(), 3});
-  std::vector<std::pair<double, const View::Item*>> near;
+  std::vector<View::Near> near;
   for (py::ssize_t i = 0; i < x.size(); ++i) {
-    view.near(x(i, 0), x(i, 1), how.most, near);
+    view.near(x(i, 0), x(i, 1), near);
     const Known known = interpolated(near, x(i, 0), x(i, 1), how);
     out(i, 0) = known.rho, out(i, 1) = known.variance, out(i, 2) = known.smooth;
   }
@@ -211,78 +210,162 @@ struct Fit {  // what a pair's blocks and the map tell of its motion
   double length = 0;  // information about the log of the way alone
 };
 
-constexpr std::size_t EVERY = 3;  // of the blocks, by which starts are judged
-
 struct FitPolicy {
   double relief;  // of a surface between the points of the map, as a share of depth
   double weak;    // standard deviation of a depth that is not known, over the usual one
   double usual;   // inverse depth
 };
 
-// What every ``step``-th block tells; a cost alone where no step is to be made by it.
-Fit terms(const PairArrays& pair, const std::vector<Known>& known, const TwoView& view,
-          double width, const FitPolicy& is, std::size_t step = 1) {
-  Fit out;
-  const Vec3& t = view.t;
-  for (std::size_t i = 0; i < pair.size(); i += step) {
-    const Vec3 a = view.R * Vec3{pair.rays_prev(i, 0), pair.rays_prev(i, 1), 1};
-    const bool told = known[i].any();
-    const double rho = told ? known[i].rho : is.usual;
-    const double rough = told ? is.relief * known[i].smooth : is.weak * is.usual;
-    const double variance = rough * rough + (told ? known[i].variance : 0);
-    const double noise = pair.sigma[i] * pair.sigma[i];
-    double z, u, v, ex, ey, gx, gy;
-    const auto project = [&](double q) {
-      z = std::max(a[2] + q * t[2], 1e-3);
-      u = (a[0] + q * t[0]) / z;
-      v = (a[1] + q * t[1]) / z;
-      ex = view.fx * (pair.rays_cur(i, 0) - u);
-      ey = view.fy * (pair.rays_cur(i, 1) - v);
-      gx = view.fx * (t[0] - u * t[2]) / z;
-      gy = view.fy * (t[1] - v * t[2]) / z;
-    };
-    project(rho);
-    // Linearised about a depth that does not err with the block's own: its weight, and what the
-    // way does to it, would depend on that error else, and lengths drift by 0.1 % a pair.
-    double at = known[i].smooth;
-    if (told) {
-      const double rx = ex, ry = ey;
-      project(at);
-      ex = rx, ey = ry;
-    } else {
-      const double gain = variance / (noise + variance * (gx * gx + gy * gy));
-      at = std::clamp(rho + gain * (gx * ex + gy * ey), 0.0, 8 * rho);
-      project(at);
-      ex += gx * (at - rho), ey += gy * (at - rho);
+// A pair's blocks with what the map tells of them, by column.
+struct Foretold {
+  // Every ``step``-th of a pair.
+  Foretold(const PairArrays& pair, const std::vector<Known>& known, const FitPolicy& is,
+           std::size_t step = 1)
+      : blocks((pair.size() + step - 1) / step), told(blocks.x.size()),
+        rho(blocks.x.size(), is.usual), at(blocks.x.size()), variance(blocks.x.size()) {
+    for (std::size_t k = 0; k < blocks.count; ++k) {
+      const Known& one = known[k * step];
+      pair.set(blocks, k, k * step);
+      const double rough = one.any() ? is.relief * one.smooth : is.weak * is.usual;
+      variance[k] = rough * rough;
+      if (!one.any()) continue;
+      told[k] = 1, rho[k] = one.rho, at[k] = one.smooth, variance[k] += one.variance;
     }
-    const double square = gx * gx + gy * gy, c = variance / (noise + variance * square);
-    const double along = gx * ex + gy * ey;
-    const double error = std::max((ex * ex + ey * ey - c * along * along) / noise, 0.0);
-    const double softness = 1 / (width * width);
-    const double weight = 1 / ((1 + error * softness) * (1 + error * softness) * noise);
-    out.cost += error / (1 + error * softness);
-    if (step > 1) continue;
-    const Vec3 du{view.fx / z, 0, -view.fx * u / z}, dv{0, view.fy / z, -view.fy * v / z};
-    const Vec3 wu = cross(a, du), wv = cross(a, dv);
-    double U[6], V[6], G[6];
-    for (int k = 0; k < 3; ++k) {
-      U[k] = wu[k], V[k] = wv[k];
-      U[3 + k] = at * du[k], V[3 + k] = at * dv[k];
-    }
-    for (int k = 0; k < 6; ++k) G[k] = gx * U[k] + gy * V[k];
-    for (int r = 0; r < 6; ++r) {
-      for (int s = 0; s <= r; ++s)
-        out.A[6 * r + s] += weight * (U[r] * U[s] + V[r] * V[s] - c * G[r] * G[s]);
-      out.b[r] += weight * (U[r] * ex + V[r] * ey - c * G[r] * along);
-    }
-    if (told) out.length += weight * at * at * square * (1 - c * square);
   }
-  for (int r = 0; r < 6; ++r)
-    for (int s = r + 1; s < 6; ++s) out.A[6 * r + s] = out.A[6 * s + r];
+  Blocks blocks;
+  // 1 where the map tells the depth; inverse depth, what it is linearised about, its variance.
+  std::vector<double> told, rho, at, variance;
+};
+
+struct Projected {  // of a ray at an inverse depth: depth, error [px] and its slope by that
+  Four z, u, v, ex, ey, gx, gy;
+};
+
+KERNELS_INLINE Projected projected(const TwoView& view, const Four3& a, const Four& x,
+                                   const Four& y, const Four& rho) {
+  Projected out;
+  out.z = at_least(a.z + rho * view.t[2], 1e-3);
+  out.u = (a.x + rho * view.t[0]) / out.z;
+  out.v = (a.y + rho * view.t[1]) / out.z;
+  out.ex = view.fx * (x - out.u);
+  out.ey = view.fy * (y - out.v);
+  out.gx = view.fx * (view.t[0] - out.u * view.t[2]) / out.z;
+  out.gy = view.fy * (view.t[1] - out.v * view.t[2]) / out.z;
   return out;
 }
 
-// -> R (3, 3), t (3,), A (6, 6), information about the log of |t|, mean robust cost
+KERNELS_WIDE
+Fit terms(const Foretold& pair, const TwoView& view, double width) {
+  const Four one = Four{} + 1.0;
+  const double softness = 1 / (width * width);
+  Four A[21] = {}, b[6] = {}, cost = {}, length = {};
+  for (std::size_t i = 0; i < pair.rho.size(); i += LANES) {
+    const Four3 a = view.R * Four3{load(&pair.blocks.u[i]), load(&pair.blocks.v[i]), one};
+    const Four x = load(&pair.blocks.x[i]), y = load(&pair.blocks.y[i]);
+    const Four rho = load(&pair.rho[i]), variance = load(&pair.variance[i]);
+    const Four sigma = load(&pair.blocks.sigma[i]), counts = load(&pair.blocks.counts[i]);
+    const Four noise = sigma * sigma;
+    const auto told = load(&pair.told[i]) > 0.0;
+    const Projected expected = projected(view, a, x, y, rho);
+    // Linearised about a depth that does not err with the block's own: its weight, and what the
+    // way does to it, would depend on that error else, and lengths drift by 0.1 % a pair. A depth
+    // that is not known is the one that the block itself tells.
+    const Four gain = variance / (noise + variance * (expected.gx * expected.gx +
+                                                      expected.gy * expected.gy));
+    Four own = at_least(rho + gain * (expected.gx * expected.ex + expected.gy * expected.ey), 0);
+    own = own > 8.0 * rho ? 8.0 * rho : own;
+    const Four at = told ? load(&pair.at[i]) : own;
+    const Projected p = projected(view, a, x, y, at);
+    const Four ex = told ? expected.ex : p.ex + p.gx * (at - rho);
+    const Four ey = told ? expected.ey : p.ey + p.gy * (at - rho);
+    const Four square = p.gx * p.gx + p.gy * p.gy, c = variance / (noise + variance * square);
+    const Four along = p.gx * ex + p.gy * ey;
+    const Four error = at_least((ex * ex + ey * ey - c * along * along) / noise, 0);
+    const Four kernel = one / (one + error * softness);
+    const Four weight = counts * kernel * kernel / noise;
+    cost += counts * error * kernel;
+    const Four inverse = one / p.z;
+    const Four3 du{view.fx * inverse, Four{}, -view.fx * p.u * inverse},
+                dv{Four{}, view.fy * inverse, -view.fy * p.v * inverse};
+    const Four3 wu = cross(a, du), wv = cross(a, dv);
+    const Four U[6] = {wu.x, wu.y, wu.z, at * du.x, Four{}, at * du.z};
+    const Four V[6] = {wv.x, wv.y, wv.z, Four{}, at * dv.y, at * dv.z};
+    Four G[6];
+    for (int k = 0; k < 6; ++k) G[k] = p.gx * U[k] + p.gy * V[k];
+    for (int r = 0, k = 0; r < 6; ++r) {
+      const Four u = weight * U[r], v = weight * V[r], g = weight * c * G[r];
+      for (int s = 0; s <= r; ++s, ++k) A[k] += u * U[s] + v * V[s] - g * G[s];
+      b[r] += u * ex + v * ey - g * along;
+    }
+    length += told ? weight * at * at * square * (one - c * square) : Four{};
+  }
+  Fit out;
+  for (int r = 0, k = 0; r < 6; ++r) {
+    for (int s = 0; s <= r; ++s, ++k) out.A[6 * r + s] = out.A[6 * s + r] = sum(A[k]);
+    out.b[r] = sum(b[r]);
+  }
+  out.cost = sum(cost);
+  out.length = sum(length);
+  return out;
+}
+
+constexpr std::size_t EVERY = 3;  // of the blocks, by which starts are judged
+
+// Number of blocks whose depth both the map and the pair's own motion, |t| = 1, tell (to the share
+// ``sure``), and the median of the length [map unit] that they give it.
+py::tuple told_length(const py::tuple& pair_, const py::object& known_, const py::object& R,
+                      const py::object& t, double sure) {
+  constexpr auto kernel = "told_length";
+  require(pair_.size() == 4, kernel, "a pair has rays_cur, rays_prev, sigma, focal");
+  const PairArrays pair(kernel, pair_[0], pair_[1], pair_[2]);
+  const TwoView view = two_view(kernel, R, t, pair_[3]);
+  const auto known = known_of(kernel, known_, pair.rays_cur.size());
+  std::vector<double> lengths;
+  // In camera k-1, where the map's depths are: x_prev ~ x + rho u with x = R^T x_cur.
+  const Mat3 back = transposed(view.R);
+  const Vec3 u = back * (-1.0 * view.t);
+  for (std::size_t i = 0; i < pair.size(); ++i) {
+    if (!known[i].any() || !(known[i].rho > 0)) continue;
+    const Vec3 a = back * Vec3{pair.rays_cur(i, 0), pair.rays_cur(i, 1), 1};
+    const double x = a[0] / a[2], y = a[1] / a[2];
+    const double gx = (u[0] - x * u[2]) * view.fx, gy = (u[1] - y * u[2]) * view.fy;
+    const double square = std::max(gx * gx + gy * gy, 1e-18);
+    const double rho = ((pair.rays_prev(i, 0) - x) * view.fx * gx +
+                        (pair.rays_prev(i, 1) - y) * view.fy * gy) / square;
+    const double ahead = 1 - rho * u[2];
+    if (ahead * ahead * pair.sigma[i] < sure * rho * std::sqrt(square))
+      lengths.push_back(rho / known[i].rho);
+  }
+  const auto count = lengths.size();
+  return py::make_tuple(count, middle_of(std::move(lengths)));
+}
+
+// Covariance of (w, t / |t|) by the information A (6, 6) about (w, t).
+std::array<double, 36> covariance_of(const double* A, const Vec3& t) {
+  std::array<double, 36> P, half{}, out{};
+  std::copy_n(A, 36, P.begin());
+  double trace = 0;
+  for (int r = 0; r < 6; ++r) trace += P[7 * r];
+  for (int r = 0; r < 6; ++r) P[7 * r] += 1e-12 * trace;  // what no block tells: wide open, finite
+  pseudo_inverse(P.data(), 6);
+  const double length = std::max(norm(t), 1e-12);
+  double D[36] = {};
+  for (int r = 0; r < 3; ++r) {
+    D[7 * r] = 1;
+    for (int s = 0; s < 3; ++s)
+      D[6 * (3 + r) + 3 + s] = ((r == s) - t[r] * t[s] / (length * length)) / length;
+  }
+  for (int r = 0; r < 6; ++r)
+    for (int s = 0; s < 6; ++s)
+      for (int k = 0; k < 6; ++k) half[6 * r + s] += D[6 * r + k] * P[6 * k + s];
+  for (int r = 0; r < 6; ++r)
+    for (int s = 0; s < 6; ++s)
+      for (int k = 0; k < 6; ++k) out[6 * r + s] += half[6 * r + k] * D[6 * s + k];
+  return out;
+}
+
+// -> R (3, 3), t (3,), A (6, 6) with the covariance (6, 6) of (w, t / |t|), information about the
+// log of |t|, mean robust cost
 py::tuple fit_to_map(const py::tuple& pair_, const py::object& known_, const py::object& starts_,
                      const py::object& widths_, const py::dict& is) {
   constexpr auto kernel = "fit_to_map";
@@ -297,17 +380,18 @@ py::tuple fit_to_map(const py::tuple& pair_, const py::object& known_, const py:
   for (const Known& one : known)
     if (one.any()) depths.push_back(one.rho);
   const FitPolicy how{policy(is, "relief"), policy(is, "weak"), std::max(middle_of(depths), 1e-9)};
+  const Foretold all(pair, known, how), few(pair, known, how, EVERY);
   TwoView view{};
   double least = INFINITE;
   for (py::ssize_t k = 0; k < starts.size(); ++k) {
     TwoView trial{{}, {starts(k, 9), starts(k, 10), starts(k, 11)}, focal[0], focal[1]};
     std::copy_n(&starts[12 * k], 9, trial.R.begin());
-    const double cost = terms(pair, known, trial, widths[1], how, EVERY).cost;
+    const double cost = terms(few, trial, widths[1]).cost;
     if (cost < least) least = cost, view = trial;
   }
   Fit now;
   for (py::ssize_t k = 0; k < widths.size(); ++k) {
-    now = terms(pair, known, view, widths[k], how);
+    now = terms(all, view, widths[k]);
     double L[36], step[6];
     std::copy_n(now.A, 36, L);
     std::copy_n(now.b, 6, step);
@@ -323,8 +407,42 @@ py::tuple fit_to_map(const py::tuple& pair_, const py::object& known_, const py:
   }
   Out<double> A({6, 6});
   std::copy_n(now.A, 36, A.data());
-  return py::make_tuple(matrix_of(view.R, {3, 3}), matrix_of(view.t, {3}), A.array(), now.length,
+  return py::make_tuple(matrix_of(view.R, {3, 3}), matrix_of(view.t, {3}), A.array(),
+                        matrix_of(covariance_of(now.A, view.t), {6, 6}), now.length,
                         now.cost / std::max<double>(1, static_cast<double>(pair.size())));
+}
+
+// A pair's inverse depths (N,) and their errors, joined with what the map foretold of each unless
+// that contradicts; t [map unit], while the pair's own are in units of its baseline.
+py::tuple join_map(const py::object& rho_, const py::object& sigma_, const py::object& known_,
+                   const py::object& rays_prev, const py::object& R, const py::object& t_,
+                   const py::dict& is) {
+  constexpr auto kernel = "join_map";
+  const In<double> rho(kernel, "rho", rho_, {ANY}, Check::finite);
+  const auto n = rho.size();
+  const In<double> sigma(kernel, "sigma", sigma_, {n}, Check::finite);
+  const In<double> ray(kernel, "rays_prev", rays_prev, {n, 3}, Check::finite);
+  const In<double> turn(kernel, "R", R, {3, 3}, Check::finite);
+  const In<double> t(kernel, "t", t_, {3}, Check::finite);
+  const auto known = known_of(kernel, known_, n);
+  const double length = norm({t[0], t[1], t[2]}), gate = policy(is, "gate"),
+               drift = policy(is, "drift"), alike = policy(is, "alike");
+  Out<double> joined({n}), sharper({n});
+  for (py::ssize_t i = 0; i < n; ++i) {
+    joined[i] = rho[i], sharper[i] = sigma[i];
+    const double turned = ray(i, 0) * turn[6] + ray(i, 1) * turn[7] + ray(i, 2) * turn[8];
+    const double ahead = turned + known[i].rho * t[2];
+    if (!known[i].any() || !(ahead > 1e-6)) continue;
+    const double before = length * known[i].rho / ahead, off = before - rho[i];
+    const double slope = length * turned / (ahead * ahead), error = drift * before;
+    const double noise = sigma[i] * sigma[i];
+    const double variance = slope * slope * known[i].variance + error * error + alike * noise;
+    const double gain = noise / (noise + variance);
+    if (!(off * off < gate * (noise + variance))) continue;
+    joined[i] = rho[i] + gain * off;
+    sharper[i] = sigma[i] * std::sqrt(1 - gain);
+  }
+  return py::make_tuple(joined.array(), sharper.array());
 }
 
 void move(std::vector<Point>& points, const TwoView& view, double inflation) {
@@ -473,6 +591,8 @@ py::array_t<double> fuse_map(const py::object& points_, const py::tuple& pair_,
 void bind_block_map(kernels::py::module_& module) {
   using namespace kernels;
   module.def("map_at", map_at);
+  module.def("told_length", told_length);
   module.def("fit_to_map", fit_to_map);
+  module.def("join_map", join_map);
   module.def("fuse_map", fuse_map);
 }

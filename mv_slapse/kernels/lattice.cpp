@@ -200,6 +200,28 @@ void bind_lattice(kernels::py::module_& module) {
     for (const int i : Components(cells, reach).large(all(cells.size()), smallest)) out[i] = true;
     return out.array();
   });
+  // Of items in numbered cells (N,) the one of each cell with the largest `worth` (N,), of equal
+  // ones that with the least `noise` (N,): their rows, in order. Cell -1 is none.
+  module.def("best_of_cells", [](const py::object& cell_, int n_cells, const py::object& worth_,
+                                 const py::object& noise_) {
+    const char* kernel = "best_of_cells";
+    const In<std::int64_t> cell(kernel, "cell", cell_, {ANY});
+    const In<double> worth(kernel, "worth", worth_, {cell.size()}, Check::finite);
+    const In<double> noise(kernel, "noise", noise_, {cell.size()}, Check::finite);
+    std::vector<py::ssize_t> best(std::max(n_cells, 0), -1);
+    for (py::ssize_t i = 0; i < cell.size(); ++i) {
+      require(cell[i] < n_cells, kernel, "a cell is not one of them");
+      if (cell[i] < 0) continue;
+      py::ssize_t& now = best[cell[i]];
+      if (now < 0 || worth[i] > worth[now] || (worth[i] == worth[now] && noise[i] < noise[now]))
+        now = i;
+    }
+    best.erase(std::remove(best.begin(), best.end(), -1), best.end());
+    std::sort(best.begin(), best.end());
+    Out<std::int64_t> rows({static_cast<py::ssize_t>(best.size())});
+    std::copy(best.begin(), best.end(), rows.data());
+    return rows.array();
+  });
   // In how many macroblocks pixels (N, 2) lie.
   module.def("count_macroblocks", [](const py::object& x) {
     const In<double> pixels("count_macroblocks", "x", x, {ANY, 2}, Check::finite);

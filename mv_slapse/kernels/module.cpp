@@ -5,7 +5,6 @@
 #include "python.hpp"
 
 void bind_block_map(kernels::py::module_& module);
-void bind_depth_grid(kernels::py::module_& module);
 void bind_ground(kernels::py::module_& module);
 void bind_body(kernels::py::module_& module);
 void bind_movers(kernels::py::module_& module);
@@ -32,7 +31,6 @@ PYBIND11_MODULE(mv_slapse_kernels, made) {
   made.attr("sanitized") = SANITIZED;
   kernels::py::module_ module(made.ptr());
   bind_block_map(module);
-  bind_depth_grid(module);
   bind_ground(module);
   bind_body(module);
   bind_movers(module);

@@ -5,10 +5,11 @@ coded anew have no vector at all. What lies inside the outline of a mover's bloc
 last outline has moved on to, is part of it unless a vector there says otherwise.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
+from mv_slapse.changed import replace
 from mv_slapse.geometry.blocks import grid_centres, grid_index, grid_shape
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.movers.identity import LIFETIME

@@ -7,9 +7,9 @@ vectors, so that a slow mover becomes one in time and a wrong vector, which does
 not.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
+from mv_slapse.changed import replace
 from mv_slapse.config import USUAL_HEIGHT
 from mv_slapse.geometry.blocks import count_macroblocks, MACROBLOCK
 from mv_slapse.kernels.binding import compiled

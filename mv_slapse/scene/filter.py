@@ -1,9 +1,9 @@
 """Filter of the camera and the stationary planes: SceneFilter.step, [SLAPSE] VI, [MVO] 5."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from mv_slapse.blas import one_thread
+from mv_slapse.changed import replace, unchecked
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation, two_view
@@ -364,8 +364,8 @@ class SceneFilter:
         self._dependence = self._dependence.seen(pair, motion.R_cur_from_prev,
                                                  motion.t_cur_from_prev)
         leaning = self._settings.mover_bias * np.mean(extraction.label == Label.MOVING)
-        return replace(self._settings, dependence=self._dependence.value,
-                       vector_bias=float(np.hypot(self._settings.vector_bias, leaning)))
+        return unchecked(self._settings, dependence=self._dependence.value,
+                         vector_bias=float(np.hypot(self._settings.vector_bias, leaning)))
 
     def _gauge(self, baseline: float, first: bool, way: Way | None,
                told: bool) -> list[Observation]:

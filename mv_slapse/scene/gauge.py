@@ -76,7 +76,9 @@ def jacobian(state: SceneState, name) -> np.ndarray:
         return J
     if name in ('previous', 'current'):
         pose = getattr(state, name)
-        return np.r_[np.c_[pose.R.T, np.zeros((3, 4))], _moves(state, pose.t)]
+        J = np.zeros((6, 7))
+        J[:3, :3], J[3:] = pose.R.T, _moves(state, pose.t)
+        return J
     J = np.zeros((state.at(name).stop - state.at(name).start, 7))
     if name == 'velocity':
         J[:, :3], J[:, 6] = -rotation.skew(state.velocity), state.velocity
@@ -86,4 +88,6 @@ def jacobian(state: SceneState, name) -> np.ndarray:
 def _moves(state: SceneState, X: np.ndarray) -> np.ndarray:
     """Return what they do to a point (3,) of {W}: (3, 7)."""
     offset = X - state.gauge.place
-    return np.c_[-rotation.skew(offset), np.eye(3), offset]
+    moves = np.eye(3, 7, 3)
+    moves[:, :3], moves[:, 6] = -rotation.skew(offset), offset
+    return moves

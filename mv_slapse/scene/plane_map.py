@@ -1,8 +1,9 @@
 """What the map knows of its planes besides their state: outline, age, support."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from mv_slapse.changed import replace
 from mv_slapse.geometry.plane import MOST_KEPT, WELL_SEEN
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Extraction, Label, MapPlane, PlaneHandover
@@ -157,7 +158,8 @@ class SceneMap:
     def observe(self, state: SceneState, extraction: Extraction, ids: list[int]):
         """Note which planes of ``ids`` a key frame shows, and where."""
         seen = {plane.id: plane for plane in extraction.planes if plane.id in ids}
-        self._sightings = {id: replace(s, n_macroblocks=0) for id, s in self._sightings.items()
+        self._sightings = {id: replace(s, n_macroblocks=0) if s.n_macroblocks else s
+                           for id, s in self._sightings.items()
                            if id in state.planes or id in self._left}
         for id, plane in seen.items():
             old = self._sightings.get(id, Sighting(extraction.stamp, extraction.stamp))

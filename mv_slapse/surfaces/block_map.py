@@ -8,12 +8,14 @@ fitted to it in six degrees of freedom. Depths are filtered as in semi-dense vis
 """
 
 from dataclasses import dataclass, field
+import math
 from typing import NamedTuple
 
 from mv_slapse.changed import replace
-from mv_slapse.geometry import epipolar, two_view
+from mv_slapse.geometry import two_view
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.estimate import MotionFit
+from mv_slapse.motion.observations import Depths
 import numpy as np
 
 # Of the kernel [sigma] in each step; the second judges the starts.
@@ -25,10 +27,11 @@ POLICY = {
     # Interpolation between points: largest difference from the three nearest, as a share; width of
     # the weight [px]; roughness of a surface, as a share; most that the slope may change a depth.
     'same_surface': 0.25, 'spread': 12.0, 'roughness': 0.1, 'slack': 0.3,
-    # Nearest points that are asked, and those of them that count as the block's own.
-    'neighbours': 14, 'ring': 4,
     'relief': 0.02,  # of a surface between points, as a share of depth
     'weak': 1.0,  # standard deviation of the inverse depth of a block that the map does not know
+    # A pair's depths are joined with the map's: share by which interpolation errs, and share of
+    # the variance of a depth that it has in common with those before: vectors in a row err alike.
+    'drift': 0.02, 'alike': 0.7,
     'inflation': 0.005,  # share by which depths become less sure in each pair
     'epsilon': 3.0,  # [sigma] of the epipolar error, beyond which a block tells no depth
     'gate': 9.0,  # squared, 3 sigma: beyond, a depth contradicts the map
@@ -67,7 +70,7 @@ class MapMotion(NamedTuple):
     @property
     def length(self) -> float:
         """Return |t| [map unit]."""
-        return float(np.linalg.norm(self.t))
+        return math.hypot(*self.t)
 
 
 @dataclass(frozen=True)
@@ -109,13 +112,14 @@ class BlockMap:
         Where the map does not tell these, the pair's own motion and the usual length [map unit].
         """
         way = self.moving(pair, known, fit, 1e-9 * (stamp - self.stamp))
-        if way is None or way.length == 0:
+        length = way.length if way else 0.0
+        if not length:
             return fit, self.usual(stamp), BaselineRatio()
-        fit = replace(fit, R_cur_from_prev=way.R, t_cur_from_prev=way.t / way.length,
+        fit = replace(fit, R_cur_from_prev=way.R, t_cur_from_prev=way.t / length,
                       covariance=way.covariance)
-        ratio = (BaselineRatio(float(np.log(way.length / self.length)), way.sigma)
+        ratio = (BaselineRatio(math.log(length / self.length), way.sigma)
                  if self.length else BaselineRatio())
-        return fit, way.length, ratio
+        return fit, length, ratio
 
     def moving(self, pair: two_view.Pair, known: np.ndarray, fit: MotionFit,
                dt: float) -> MapMotion | None:
@@ -125,15 +129,11 @@ class BlockMap:
         the last pair, and from the last motion, over ``dt`` [s].
         """
         R, t, way = fit.R_cur_from_prev, fit.t_cur_from_prev, self.velocity * dt
-        rho, per_pixel = epipolar.inverse_depth(pair.rays_prev, pair.rays_cur, pair.focal, R.T,
-                                                -R.T @ t)
-        sure = np.isfinite(known[:, 1]) & (per_pixel * pair.sigma < SURE_START * rho)
-        sure &= known[:, 0] > 0
-        if np.count_nonzero(sure) < LEAST_KNOWN:
+        n_sure, length = compiled.told_length(columns(pair), known, R, t, SURE_START)
+        if n_sure < LEAST_KNOWN:
             return None
-        length = float(np.median(rho[sure] / known[sure, 0]))
-        return self._fitted(pair, known, [(R, length * t), (R, np.linalg.norm(way) * t), (R, way),
-                                          (self.R, way)])
+        return self._fitted(pair, known, [(R, length * t), (R, math.hypot(*way) * t),
+                                          (R, way), (self.R, way)])
 
     def turning(self, pair: two_view.Pair, known: np.ndarray, R: np.ndarray) -> MapMotion | None:
         """Return the little motion of a camera that seems to turn on the spot by R (3, 3)."""
@@ -143,9 +143,20 @@ class BlockMap:
 
     def _fitted(self, pair, known, starts) -> MapMotion:
         """Return the motion from the best of some starts (R, t)."""
-        rows = np.array([np.r_[np.ravel(R), t] for R, t in starts])
-        R, t, A, length, _ = compiled.fit_to_map(columns(pair), known, rows, WIDTHS, POLICY)
-        return MapMotion(R, t, _covariance(A, t), float(1 / np.sqrt(max(length, 1e-12))))
+        rows = np.array([(*R.flat, *t) for R, t in starts])
+        R, t, _, covariance, told, _ = compiled.fit_to_map(columns(pair), known, rows, WIDTHS,
+                                                           POLICY)
+        return MapMotion(R, t, covariance, 1 / math.sqrt(max(told, 1e-12)))
+
+    def joined(self, pair: two_view.Pair, known: np.ndarray, fit: MotionFit, length: float,
+               depths: Depths) -> Depths:
+        """Return a pair's depths (N,) with what the map knew of them, unless it contradicts.
+
+        ``fit`` is the pair's motion, ``length`` its baseline [map unit].
+        """
+        rho, sigma = compiled.join_map(depths.rho, depths.sigma, known, pair.rays_prev,
+                                       fit.R_cur_from_prev, length * fit.t_cur_from_prev, POLICY)
+        return replace(depths, rho=rho, sigma=sigma)
 
     def moved(self, stamp: int, motion: tuple, pair: two_view.Pair, known: np.ndarray,
               size: tuple[int, int]) -> 'BlockMap':
@@ -155,7 +166,7 @@ class BlockMap:
         """
         R, t = motion
         points = compiled.fuse_map(
-            self.points, columns(pair), known, np.r_[np.ravel(R), t],
+            self.points, columns(pair), known, np.append(R, t),
             (pair.K, np.array(size, np.int64)), POLICY)
         return replace(self, points=points, stamp=stamp, R=R,
                        velocity=1e9 * t / max(stamp - self.stamp, 1))
@@ -180,12 +191,3 @@ class BlockMap:
 def columns(pair: two_view.Pair) -> tuple:
     """Return a pair as the kernels take it."""
     return pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal
-
-
-def _covariance(A: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the covariance of (w, t / |t|) by the information about (w, t)."""
-    length = max(float(np.linalg.norm(t)), 1e-12)
-    D = np.eye(6)
-    D[3:, 3:] = (np.eye(3) - np.outer(t, t) / length**2) / length
-    # What no block tells is left wide open, yet finite.
-    return D @ np.linalg.inv(A + 1e-12 * np.trace(A) * np.eye(6)) @ D.T

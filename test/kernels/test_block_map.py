@@ -8,8 +8,10 @@ from mv_slapse.surfaces.block_map import columns, POLICY, WIDTHS
 from numeric import jacobian
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 SIZE = np.array([WIDTH, HEIGHT])
+CLOSE = 4  # nearest points, which count as a block's own
 EXACT = POLICY | {'relief': 1e-9}
 
 
@@ -31,14 +33,14 @@ def known_at(points, x):
     at, z = pixels(seen), seen[:, 2]
     near = np.all(np.abs(np.floor((at + 0.5) / 16) - np.floor((x + 0.5) / 16)) <= 2, axis=1)
     square = np.where(near, np.sum((at - x)**2, axis=1), np.inf)
-    order = np.argsort(square, kind='stable')[:POLICY['neighbours']]
+    order = np.argsort(square, kind='stable')
     order = order[square[order] < 32.0**2]
-    if len(order) < 4:
+    if len(order) < CLOSE:
         return 0, np.inf, 0
     rho, variance = seen[order, 3] / z[order], seen[order, 4] / z[order]**2
     middle = np.median(rho[:3])
     same = np.abs(rho - middle) < POLICY['same_surface'] * abs(middle) + 2 * np.sqrt(variance)
-    if same.sum() < 4:
+    if same.sum() < CLOSE:
         return 0, np.inf, 0
     far = 1 + square[order] / POLICY['spread']**2
     weight = same / (far**2 * (variance + (POLICY['roughness'] * middle)**2 + 1e-12))
@@ -48,7 +50,7 @@ def known_at(points, x):
     found = np.linalg.solve(A, b)[0]
     if not abs(found - b[0]) < POLICY['slack'] * abs(b[0]):
         return 0, np.inf, 0
-    ring = same & (np.arange(len(order)) >= POLICY['ring'])
+    ring = same & (np.arange(len(order)) >= CLOSE)
     return found, weight @ variance, rho[ring].mean() if ring.sum() >= 2 else b[0]
 
 
@@ -187,11 +189,62 @@ def test_its_information_is_that_of_the_numerical_derivative(name):
     C = 0.3**2 * np.eye(2) + known[:, 1, None, None] * g[:, :, None] * g[:, None]
     expected = np.einsum('nik,nij,njl->kl', J, np.linalg.inv(C), J)
     start = np.r_[scene.R.ravel(), scene.t][None]
-    _, _, A, length, _ = compiled.fit_to_map(columns(pair), known, start, WIDTHS, EXACT)
+    *_, A, covariance, length, _ = compiled.fit_to_map(columns(pair), known, start, WIDTHS,
+                                                       EXACT)
     np.testing.assert_allclose(A, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
+    unit = jacobian(lambda e: (scene.t + e) / np.linalg.norm(scene.t + e), np.zeros(3))
+    D = block_diag(np.eye(3), unit)
+    np.testing.assert_allclose(covariance, D @ np.linalg.inv(A) @ D.T, rtol=1e-4,
+                               atol=1e-6 * covariance.max())
     along = np.sum(g * g, axis=1)
     assert length == pytest.approx(np.sum(known[:, 0]**2 * along / (
         0.3**2 + known[:, 1] * along)), rel=1e-4)
+
+
+@pytest.mark.parametrize('name', MOTIONS)
+def test_depths_joined_with_the_map(name, rng):
+    scene, known = exact(name)
+    solid = scene.surface >= 0
+    pair, known, unit = scene.pair[solid], known[solid], 1.7  # [map unit] of the baseline
+    own = scene.rho[solid] * (1 + 0.03 * rng.normal(size=solid.sum()))
+    sigma = 0.03 * scene.rho[solid]
+    known[:, 0] *= (1 + 0.02 * rng.normal(size=len(known))) / unit
+    known[:, 1] = (0.02 * known[:, 0])**2
+    known[::7, 1] = np.inf
+    known[::11, 0] *= 3  # contradicts
+    t = unit * scene.t
+
+    def ahead(rho):
+        """Return what a depth of the map is in camera k [1/baseline]."""
+        return unit * rho / (pair.rays_prev @ scene.R[2] + rho * t[2])
+
+    before = ahead(known[:, 0])
+    slope = np.diag(jacobian(lambda e: ahead(known[:, 0] + e), np.zeros(len(known))))
+    variance = (slope**2 * known[:, 1] + (POLICY['drift'] * before)**2
+                + POLICY['alike'] * sigma**2)
+    good = np.isfinite(known[:, 1])
+    good &= (before - own)**2 < POLICY['gate'] * (variance + sigma**2)
+    gain = np.where(good, sigma**2 / (sigma**2 + np.where(good, variance, 1)), 0)
+    rho, less = compiled.join_map(own, sigma, known, pair.rays_prev, scene.R, t, POLICY)
+    np.testing.assert_allclose(rho, own + gain * np.where(good, before - own, 0), rtol=1e-7)
+    np.testing.assert_allclose(less, sigma * np.sqrt(1 - gain), rtol=1e-6)
+    assert 0.7 < good.mean() < 0.9
+    assert np.std(rho[good] / scene.rho[solid][good]) < 0.9 * np.std(own / scene.rho[solid])
+
+
+@pytest.mark.parametrize('name', MOTIONS)
+def test_the_length_that_a_map_tells(name, rng):
+    scene, known = exact(name)
+    known[:, :2] *= (1 / 1.7, 1)  # the map's unit is 1.7 baselines
+    known[rng.random(len(known)) < 0.1, 1] = np.inf
+    pair = scene.pair
+    rho, per_pixel = epipolar.inverse_depth(pair.rays_prev, pair.rays_cur, pair.focal, scene.R.T,
+                                            -scene.R.T @ scene.t)
+    sure = np.isfinite(known[:, 1]) & (known[:, 0] > 0) & (per_pixel * pair.sigma < 0.3 * rho)
+    n, length = compiled.told_length(columns(pair), known, scene.R, scene.t, 0.3)
+    assert n == sure.sum() > 100
+    assert length == pytest.approx(np.median(rho[sure] / known[sure, 0]), rel=1e-9)
+    assert length == pytest.approx(1.7, rel=1e-6)
 
 
 def test_wrong_arguments_are_named():

@@ -4,9 +4,10 @@ Such a height says nothing of metres, but it stays, and so does the scale after 
 tells the length of its way, as with a height that is given.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from mv_slapse.changed import replace
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.records import CameraMotion, Extraction
