@@ -4,7 +4,7 @@ VENV := .venv
 RUN := . $(VENV)/setup.sh &&
 WORKERS ?= 2
 .DEFAULT_GOAL := help
-.PHONY: help setup messages kernels config demo robot-demo test lint build bench evaluate losses fuzz kills interruptions soak mutants clean
+.PHONY: help setup messages kernels config demo robot-demo test lint build bench evaluate losses fuzz kills flips interruptions soak mutants clean
 
 # Stamps, one for each step, so that a step is repeated only when what it reads has changed.
 LIBRARIES := $(VENV)/.libraries
@@ -98,6 +98,9 @@ fuzz: setup ## damage streams, messages, bags, files (ARGS="--streams 300 --mess
 
 kills: setup ## kill the four nodes while a street is driven (ARGS="--moments 100")
 	@$(RUN) $(RELIABILITY)/kills.py $(ARGS)
+
+flips: setup ## flip a bit a second in a real drive (ARGS="--seeds 10")
+	@$(RUN) $(RELIABILITY)/bit_flips.py $(ARGS)
 
 interruptions: setup ## fill the disk, kill a run, cut a bag (ARGS="--places 20 --moments 100 --cuts 100")
 	@$(RUN) $(RELIABILITY)/interruptions.py $(ARGS)

@@ -24,6 +24,7 @@ MISFIT = 2.0  # mean chi-square of a number above which the planes found contrad
 ALIKE = 0.5  # cosine between normals beyond which no error of the start makes two planes one
 ONE = (0.1, 0.1, 1.0)  # [rad], [m] within which planes of one map are one surface, seen twice
 APART = 5.0  # [m] beyond its outline in which a plane may go on
+WALLS = 3  # two tell the place, and nothing would tell another corner from it
 TOLD = 0.5  # by which the planes must shrink the start's standard deviation in every direction
 ROUNDS = 5
 LEAST = 1e-6  # [m^2], [rad^2] of a start that somebody calls exact
@@ -97,12 +98,15 @@ def place(known: KnownMap, scene: SceneEstimate, start: Pose) -> Placing:
     start = Pose(start.R, start.t, start.covariance + LEAST * np.eye(6))
     problem, pose = _Problem(start), start
     theirs = _Surfaces(known.planes)
-    waiting, found = _Surfaces(scene.planes).planes, True
+    waiting, found, taken = _Surfaces(scene.planes).planes, True, set()
     while found:
         found = False
         for plane in waiting:
             meant = theirs.meant(pose, plane)
-            if meant and all(_is_one(meant[0], other) for other in meant):
+            # a surface seen as several planes tells no more than once
+            if meant and meant[0].id not in taken and all(
+                    _is_one(meant[0], other) for other in meant):
+                taken.add(meant[0].id)
                 problem = _Problem(start, (*problem.pairs, (plane, meant[0])))
                 pose, found = _solve(problem), True
         waiting = [p for p in waiting if all(p.id != ours.id for ours, _ in problem.pairs)]
@@ -145,6 +149,10 @@ def _judged(problem: _Problem, pose: Pose) -> Placing:
     if left > TOLD**2:
         return Placing(None, matches, f'{len(matches)} planes are found again, which do not tell '
                        'the place in every direction, as planes that are parallel do not')
+    walls = sum(not known.is_ground for _, known in problem.pairs)
+    if walls < WALLS:
+        return Placing(None, matches, f'{walls} walls are found again, {WALLS} are needed to tell '
+                       'a place from another one')
     return Placing(pose, matches)
 
 

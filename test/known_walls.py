@@ -44,4 +44,15 @@ def pose(rng, metres=3.0, radians=0.1) -> Pose:
     return Pose(rotation.exp(rng.normal(0, radians, 3)), rng.normal(0, metres, 3))
 
 
+def corner(rng):
+    """Return a corner of any street: facades and a wall across, each turned a little."""
+    def turned(x, z):
+        c, s = np.cos(angle := rng.uniform(-0.26, 0.26)), np.sin(angle)
+        return c * x + s * z, 0, c * z - s * x
+
+    return (GROUND, (turned(1, 0), (-rng.uniform(4, 15), -2, rng.uniform(15, 40))),
+            (turned(-1, 0), (rng.uniform(4, 15), -2, rng.uniform(15, 40))),
+            (turned(0, -1), (rng.uniform(-5, 5), -2, rng.uniform(25, 90))))
+
+
 ORIGIN = Pose(np.eye(3), np.zeros(3))

@@ -57,6 +57,16 @@ def test_a_surface_that_the_map_holds_twice_is_still_one():
     assert found.known_from_world is not None
 
 
+def test_another_corner_is_not_taken_for_the_known_one():
+    rng, accepted, found = np.random.default_rng(0), 0, 0
+    for seed in range(60):
+        here, there = walls.corner(rng), walls.corner(rng)
+        accepted += placed(there, walls.ORIGIN, seed=seed, known=here).known_from_world is not None
+        found += placed(here, walls.pose(rng), seed=seed, known=here).known_from_world is not None
+    assert accepted <= 1  # 15 without asking for a wall more than the place needs
+    assert found >= 59
+
+
 def test_a_wall_that_was_moved_contradicts_the_others():
     known = (*walls.CORNER, ((0, 0, 1), (0, -2, -20)))
     seen = (*walls.CORNER, ((0, 0, 1), (0, -2, -24)))

@@ -85,6 +85,8 @@ def test_pause_goes_on_from_the_last_pose_and_counts_a_reset(bench):
     assert np.linalg.norm(after[4] - after[3]) == pytest.approx(usual, rel=0.2)
     assert drive.maps[2].resets == 0
     assert drive.maps[-1].resets == 1
+    first, *_, last = drive.maps
+    assert (drive.maps[2].began, last.began) == (first.header.stamp, drive.maps[3].header.stamp)
     assert value_of(drive.node, 'resets') == '1'
     variances = [msg.pose.covariance[0] for msg in drive.odometry]
     assert variances[3] > variances[2]
@@ -188,7 +190,8 @@ def test_the_saved_trajectory_and_map_are_in_one_frame_over_a_pause(bench, tmp_p
     assert bench.call(Trigger, '/slam/save_map').success
 
 
-def test_the_tracker_begins_anew_where_slam_has(bench):
+@pytest.mark.parametrize('after', [(8, 1), (7, 2)])  # after a reset; by a slam started again
+def test_the_tracker_begins_anew_where_slam_has(bench, after):
     node = bench.start(ObstacleTrackerNode, tf_wait=0.0)
     observations = bench.advertise(PlaneObservations, 'planes/observations')
     odometry = bench.advertise(Odometry, 'odometry')
@@ -198,8 +201,8 @@ def test_the_tracker_begins_anew_where_slam_has(bench):
         observations.publish(to_message(PlaneObservations, fields.extraction_to_fields(
             step.extraction, frames)))
         odometry.publish(to_message(Odometry, fields.odometry_to_fields(step.scene, frames)))
-        maps.publish(to_message(PlaneMap, fields.plane_map_to_fields(step.scene, frames,
-                                                                     7 + (i == 2))))
+        maps.publish(to_message(PlaneMap, fields.plane_map_to_fields(
+            step.scene, frames, *(after if i == 2 else (7, 1)))))
         assert bench.spin(lambda: value_of(node, 'state') == 'working')
         bench.spin(lambda: False, 0.3)
         assert node.resets == (i == 2)

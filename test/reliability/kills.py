@@ -114,7 +114,7 @@ class Drive:
         """Drive until there are poses, from the clip's beginning where it does not last."""
         if not 0 < self._next < len(self._packets) // 3:
             self.rewind()
-        n = len(self.tracked()) + 10
+        n = len(self.tracked()) + 6
         assert self.spin(lambda: len(self.tracked()) >= n), 'there are no poses'
 
     def rewind(self):
@@ -133,7 +133,7 @@ class Drive:
         """Drive on until a condition holds; return whether it did in time."""
         end = time.monotonic() + timeout
         while not until() and time.monotonic() < end:
-            rclpy.spin_once(self.node, timeout_sec=0.02)
+            rclpy.spin_once(self.node, timeout_sec=0.05)
             if drive and time.monotonic() >= self._due and self._next < len(self._packets):
                 packet = self._packets[self._next]
                 moved = type(packet)(packet.data, packet.stamp + self._begin, packet.is_key,
