@@ -1,12 +1,11 @@
 """The competitor of [MVO]: monocular SLAM by an EKF with 1-point RANSAC, Civera et al. 2010.
 
-Constant velocity, points as inverse depths (6 numbers each), corners, and the two updates of 1-point
-RANSAC: a single match tells the whole state, those that then fit are taken in, and matches that the
-better state explains are rescued. As published but for two things: corners are tracked from picture
-to picture (Lucas-Kanade) and must end in the ellipse that the filter predicts, where the authors
-search a warped patch of the first picture there; and a rotation's error is a vector, not four
-numbers of a quaternion, which is the same to first order. Where the scale is free the first
-inverse depths are the unit.
+Constant velocity, points as inverse depths (6 numbers each), corners, and the two updates of
+1-point RANSAC: a single match tells the whole state, those that then fit are taken in, and matches
+that the better state explains are rescued. As published but for two things: corners are tracked
+from picture to picture (Lucas-Kanade) and must end in the ellipse that the filter predicts, where
+the authors search a warped patch of the first picture; and a rotation's error is a vector, not
+four numbers of a quaternion, which is the same to first order. The first inverse depths are the unit.
 """
 
 from collections.abc import Iterable
@@ -163,7 +162,7 @@ class OnePointEkf:
         self.points, self.P = self.points[~gone], self.P[np.ix_(rows, rows)]
 
     def add(self, x: np.ndarray):
-        """Add points (N, 2) seen for the first time, with the usual inverse depth of the others."""
+        """Add points (N, 2) that are new, with the usual inverse depth of the others."""
         known = self.points[self.points[:, 5] > 0, 5]
         depth = float(np.median(known)) if len(known) > 9 else self.tuning.depth
         rays = np.c_[(x - self.K[:2, 2]) / np.diag(self.K)[:2], np.ones(len(x))]

@@ -4,12 +4,14 @@ The papers give no process noise; what is chosen here stands in `RATES`. Stamps 
 unit of length is the first baseline, as in [SLAPSE] VII-B.
 """
 
-from mv_slapse.geometry import plane as planes_, rotation
+from mv_slapse.geometry import plane as planes_
+from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import to_pixels, to_rays
 import numpy as np
+from scipy.spatial.transform import Rotation
+
 from papers import two_views
 from papers.two_views import Joint, View
-from scipy.spatial.transform import Rotation
 
 # Random walks: of the angular velocity [rad/s^1.5], of the velocity as a share of it [1/s^0.5].
 RATES = 0.3, 0.3
@@ -116,6 +118,8 @@ class Slapse(PlaneFilter):
     not always equally far apart. Its pose is the product of the motions.
     """
 
+    has_pose = False  # in its state
+
     def __init__(self, R: np.ndarray, t: np.ndarray, dt: float):
         """Start with the first motion."""
         super().__init__(*started(R, t, dt, 12))
@@ -167,6 +171,8 @@ class Mvo(PlaneFilter):
     the rates: a pose and the one before are not both in the state.
     """
 
+    has_pose = True
+
     def __init__(self, R: np.ndarray, t: np.ndarray, dt: float):
         """Start with the first motion, X_prev = R X_cur + t, from the origin."""
         super().__init__(*started(R, t, dt, 12))
@@ -214,6 +220,14 @@ class Mvo(PlaneFilter):
     def advance(self):
         """Return the pose, X_world = R X_cam + t."""
         return euler(self.x[-12:-9]), self.x[-9:-6].copy()
+
+    def pose_covariance(self) -> np.ndarray:
+        """Return the covariance (6, 6) of (position, rotation about the axes of {W})."""
+        R = euler(self.x[-12:-9])
+        J = np.zeros((6, 6))
+        J[:3, 3:] = np.eye(3)
+        J[3:, :3] = jacobian(lambda a: rotation.log(euler(a) @ R.T), self.x[-12:-9])
+        return J @ self.P[-12:-6, -12:-6] @ J.T
 
     def in_camera(self) -> np.ndarray:
         """Return the planes (P, 3) in camera k."""

@@ -13,6 +13,7 @@ from mv_slapse.geometry.blocks import grid_centres, grid_index
 from mv_slapse.geometry.camera import Camera, to_pixels, to_rays, undistort
 from mv_slapse.records import Correspondences, Label
 import numpy as np
+
 from papers import filters, two_views
 from papers.two_views import Thresholds, View
 
@@ -25,6 +26,7 @@ SETTINGS = Settings(decoder=DECODER)
 # Plane management of [MVO] verifies planes by the filter's output, and does not say how: one that
 # departs by more than this share of itself begins anew. Without it `kitti00` errs by 8 %.
 VERIFIED = 0.3
+BOUNDS = Thresholds()
 
 
 @dataclass
@@ -41,6 +43,8 @@ class Found:
         Of each key frame with a motion: its stamp, and label and plane of each macroblock.
     blocks : list of (M,) arrays
         Labels by Definition 1 alone; of [MVO] only.
+    covariances : dict of (6, 6) arrays
+        Of (position, rotation about the axes of {W}) by stamp; of [MVO] only.
     """
 
     poses: list = field(default_factory=list)
@@ -49,6 +53,7 @@ class Found:
     labels: list = field(default_factory=list)
     numbers: list = field(default_factory=list)
     blocks: list = field(default_factory=list)
+    covariances: dict = field(default_factory=dict)
     size: tuple[int, int] = (0, 0)
 
     def plane_table(self) -> dict[str, np.ndarray]:
@@ -78,7 +83,7 @@ class Pair(NamedTuple):
 class Pipeline:
     """What [SLAPSE] and [MVO] have in common; ``step`` takes one pair after another."""
 
-    def __init__(self, camera: Camera, bounds: Thresholds = Thresholds()):
+    def __init__(self, camera: Camera, bounds: Thresholds = BOUNDS):
         """Start without a motion."""
         self.camera, self.bounds = camera, bounds
         self.found = Found(size=(camera.width, camera.height))
@@ -107,6 +112,17 @@ class Pipeline:
             plane = self._planes(pair, *first)
         self._write(correspondences, pair, plane)
 
+    def planes_of(self, correspondences: Correspondences) -> list[np.ndarray]:
+        """Return the macroblocks (M, 2) [px] of each plane of a pair, whatever came before."""
+        pair = self._read(correspondences)
+        first, none = self._motion(pair.view), np.full(len(pair.sigma), -1)
+        if first is None:
+            return []
+        near = ~two_views.at_infinity(pair.view, first[0], self.bounds.m)
+        plane = two_views.homographies(pair.view, near, none, self.bounds)
+        centres = grid_centres(*self.found.size)[pair.cell]
+        return [centres[plane == n] for n in np.unique(plane[plane >= 0])]
+
     def _read(self, c: Correspondences) -> Pair:
         x_cur, x_prev = (undistort(self.camera, x) for x in (c.x_cur, c.x_prev))
         return Pair(View(x_cur, x_prev, self.camera.K), np.asarray(c.sigma, float),
@@ -118,7 +134,7 @@ class Pipeline:
         return None if F is None or inlier.sum() < 16 else two_views.motion(view, F, inlier)
 
     def _extracted(self, pair: Pair, R: np.ndarray, candidates) -> np.ndarray:
-        """Return the plane (N,) of each match, -1 for none; those of the pair before keep theirs."""
+        """Return the plane (N,) of each match, -1 for none; or one of the pair before."""
         view = pair.view
         before = grid_index(view.x_prev, *self.found.size)
         known = np.where(before >= 0, self._grid[before], -1)
@@ -141,6 +157,8 @@ class Pipeline:
     def _write(self, c: Correspondences, pair: Pair, plane: np.ndarray):
         found = self.found
         found.poses.append((c.stamp, *self.scene.advance()))
+        if self.scene.has_pose:
+            found.covariances[c.stamp] = self.scene.pose_covariance()
         for id_, n in zip(self.scene.ids, self.scene.in_camera(), strict=True):
             size = np.linalg.norm(n)
             found.planes.append((c.stamp, id_, *(n / size), 1 / size, int((plane == id_).sum())))
@@ -193,7 +211,7 @@ class Mvo(Pipeline):
         return two_views.refined(view.of(inlier), *two_views.motion(view, F, inlier))
 
     def _planes(self, pair: Pair, R, t) -> np.ndarray:
-        scene, view, bounds = self.scene, pair.view, self.bounds
+        view, bounds = pair.view, self.bounds
         still = two_views.stationary(view, R, t, bounds)
         plane = self._extracted(pair, R, np.ones(len(still), bool))
         moving = np.isin(plane, two_views.moving_planes(plane, still))
@@ -242,7 +260,7 @@ class Mvo(Pipeline):
         self.found.blocks.append(self._on_grid(pair, by_block))
 
 
-def run(pipeline: type[Pipeline], camera: Camera, pairs, bounds: Thresholds = Thresholds()
+def run(pipeline: type[Pipeline], camera: Camera, pairs, bounds: Thresholds = BOUNDS
         ) -> Found:
     """Run a pipeline over pairs of key frames."""
     made = pipeline(camera, bounds)

@@ -132,14 +132,14 @@ def stationary(view: View, R: np.ndarray, t: np.ndarray, bounds: Thresholds) -> 
     """Return which matches (N,) are stationary, Definition 1 of [MVO], each by itself."""
     turned, e = without_rotation(view, R), view.K @ t
     still = np.abs(sampson(fundamental(view.K, R, t), view)) < bounds.f
-    # From the epipole, times its last coordinate: that has a direction at infinity, too, and a
-    # sign that the vote takes out again.
+    e[2] = np.copysign(max(abs(e[2]), 1e-5 * np.linalg.norm(e)), e[2])  # not beyond 100,000 px
+    # From the epipole, times its last coordinate, whose sign the vote takes out again.
     outward, flow = turned * e[2] - e[:2], view.x_cur - turned
     ahead = (outward * flow).sum(1) > 0
     still &= ahead == (ahead[still].mean() >= 0.5 if still.any() else True)
     rows = np.flatnonzero(still)
     away = view.x_cur[rows] * e[2] - e[:2]
-    reach = np.linalg.norm(away, axis=1) / max(abs(e[2]), 1e-9)
+    reach = np.linalg.norm(away, axis=1) / abs(e[2])
     still[rows] = _on_lines(np.arctan2(away[:, 1], away[:, 0]), reach,
                             np.linalg.norm(flow[rows], axis=1), bounds.e)
     return still
@@ -248,7 +248,8 @@ def joint(view: View, still: np.ndarray, plane: np.ndarray, start: Joint, sigma:
 
     found = least_squares(errors, np.zeros(5 + start.planes.size), method='lm', max_nfev=2000)
     R, t = moved(R, t, found.x)
-    return Joint(R, t, start.planes + found.x[5:].reshape(-1, 3), found.jac.T @ found.jac / sigma**2)
+    return Joint(R, t, start.planes + found.x[5:].reshape(-1, 3),
+                 found.jac.T @ found.jac / sigma**2)
 
 
 def _normalised(x: np.ndarray):
