@@ -1,11 +1,12 @@
 """The competitor of [MVO]: monocular SLAM by an EKF with 1-point RANSAC, Civera et al. 2010.
 
 Constant velocity, points as inverse depths (6 numbers each), corners, and the two updates of
-1-point RANSAC: a single match tells the whole state, those that then fit are taken in, and matches
-that the better state explains are rescued. As published but for two things: corners are tracked
-from picture to picture (Lucas-Kanade) and must end in the ellipse that the filter predicts, where
-the authors search a warped patch of the first picture; and a rotation's error is a vector, not
-four numbers of a quaternion, which is the same to first order. The first inverse depths are the unit.
+1-point RANSAC: a single match tells the whole state, those that then fit are taken in, and
+matches that the better state explains are rescued. As published but for two things: corners are
+tracked from picture to picture (Lucas-Kanade) and must end in the ellipse that the filter
+predicts, where the authors search a warped patch of the first picture; and a rotation's error is
+a vector, not four numbers of a quaternion, which is the same to first order. The first inverse
+depths are the unit.
 """
 
 from collections.abc import Iterable

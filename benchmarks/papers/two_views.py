@@ -17,7 +17,6 @@ from scipy.optimize import least_squares
 
 BATCH, MOST, CONFIDENCE = 64, 1024, 0.99  # samples of eight points at a time and in all
 ON_A_LINE = 24  # macroblocks that make an epipolar line: with fewer, no line can be fitted
-MOST_PLANES = 10
 
 
 @dataclass(frozen=True)
@@ -29,6 +28,7 @@ class Thresholds:
     h: float = 1.0  # (15) of [SLAPSE]
     e: float = 2.0  # Definition 1, magnitude: 0.5 px of MPEG-2, four times
     smallest: int = 20
+    planes: int = 8  # most of a pair
 
 
 class View(NamedTuple):
@@ -176,7 +176,8 @@ def homographies(view: View, rows: np.ndarray, known: np.ndarray, bounds: Thresh
     plane, free = np.full(len(rows), -1), rows.copy()
     for number in np.unique(known[known >= 0]):
         _label(view, free & (known == number), free, number, plane, bounds)
-    for number in range(known.max(initial=-1) + 1, known.max(initial=-1) + 1 + MOST_PLANES):
+    new, found = known.max(initial=-1) + 1, len(np.unique(plane[plane >= 0]))
+    for number in range(new, new + bounds.planes - found):
         if not _label(view, free, free, number, plane, bounds):
             break
     return plane
