@@ -191,8 +191,8 @@ def _of_rows(results: Results) -> list[tuple[str, ...]]:
         values = [results.row(scene, method).get(key) for scene in results.streets]
         return _number(np.mean([one for one in values if one is not None] or [np.nan]), pattern)
 
-    return [('Stationary planes', 'planes on one true plane [%]; their errors of depth [m] and normal '
-             '[deg], rendered streets',
+    return [('Stationary planes', 'planes on one true plane [%]; their errors of depth [m] and '
+             'normal [deg], rendered streets',
              *(f'{mean(one, "on_one_percent", ".0f")}; {mean(one, "plane_depth_error_m", ".2f")}, '
                f'{mean(one, "plane_normal_error_deg", ".1f")}' for one in ('MVO', 'ours'))),
             ('Scene filter, noise', 'positions within 3 sigma of the true ones [%] and NEES (6 '
@@ -241,7 +241,8 @@ def ways(results: Results) -> Figure:
             axes.plot(*path.T, color=COLOURS[method], lw=1.2, label=printed_name(method))
         axes.set(title=scene, xlabel='right x [m]', ylabel='forward z [m]')
         axes.grid(alpha=0.3)
-        if not scene.startswith('street'):  # those are straight: what differs would not be seen
+        wide, high = np.ptp(truth, axis=0)
+        if 0.1 < wide / max(high, 1e-9) < 10:  # of a straight way no difference would be seen
             axes.set_aspect('equal', adjustable='datalim')
     axes.legend(fontsize=7)
     return figure

@@ -80,6 +80,19 @@ def test_a_way_among_points_is_found_despite_wrong_matches():
     assert np.linalg.eigvalsh(ekf.P).min() > -1e-9
 
 
+def test_one_point_tells_the_turn_of_all_where_most_are_wrong_by_the_prediction():
+    rng, ekf = np.random.default_rng(0), OnePointEkf(K)
+    ekf.add(rng.uniform([20, 20], [620, 460], (40, 2)))
+    ekf.points[:, 5] = 1e-3  # far: only a turn moves them
+    ekf.P[3:6, 3:6] = 0.03**2 * np.eye(3)
+    seen = ekf.project((rotation.exp(np.array([0.02, 0.03, 0.0])), ekf.r, ekf.points))[0]
+    seen[:15] = ekf.project()[0][:15]  # as if nothing had turned
+    held = ekf.step(seen)
+    assert held[15:].all()
+    assert not held[:15].any()
+    assert rotation.angle(ekf.R.T @ rotation.exp(np.array([0.02, 0.03, 0.0]))) < 2e-3
+
+
 def test_deleted_points_leave_the_state(ekf):
     ekf.delete(np.array([False, True, False]))
     assert ekf.points[:, 5].tolist() == [0.3, 0.05]

@@ -3,7 +3,9 @@
 from canyon import angle_between, K, motion, turn_between, views
 from compare import as_trajectory
 from mv_slapse.evaluation import trajectory
+from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import to_pixels, to_rays
+from mv_slapse.geometry.plane import transform
 from mv_slapse.records import Label
 from mv_slapse.simulation import drawn
 from mv_slapse.simulation.street import Street, StreetSettings
@@ -103,6 +105,37 @@ def test_euler_angles_and_a_filter_without_noise():
     kalman.update(lambda x: np.array([3 - x[0]]), np.array([1.0]))
     np.testing.assert_allclose(kalman.x, [2, 1], atol=1e-8)
     np.testing.assert_allclose(kalman.P, [[2 / 3, 1 / 3], [1 / 3, 1.5 - 1 / 3]], atol=1e-8)
+
+
+@pytest.mark.parametrize('kind', [filters.Slapse, filters.Mvo])
+def test_planes_are_predicted_where_the_motion_takes_them(kind):
+    R, t = filters.euler(np.array([0.02, -0.1, 0.01])), np.array([0.6, 0, 0.8])
+    plane = [0.1, 0.3, 0]
+    scene = kind(R, t, 0.1)
+    scene.add(5, np.array(plane))
+    scene.advance()
+    scene.step(0.2)
+    scene.advance()
+    turn, way = scene.motion
+    np.testing.assert_allclose(np.linalg.norm(way), 2.0)
+    np.testing.assert_allclose(rotation.angle(turn), 2 * rotation.angle(R), rtol=1e-3)
+    if kind is filters.Mvo:  # {W} is one motion before its first state
+        R_world, t_world = scene.advance()
+        expected = transform(np.array(plane), R_world.T, -R_world.T @ t_world)
+    else:
+        expected = transform(np.array(plane), turn.T, -turn.T @ way)
+    np.testing.assert_allclose(scene.in_camera()[0], expected, atol=1e-12)
+    assert np.all(np.diag(scene.P)[-6:] > 0)
+
+
+def test_a_plane_that_is_not_where_it_is_expected_is_given_up():
+    pipeline = pipelines.Mvo(STREET.camera)
+    pipeline.scene = filters.Mvo(np.eye(3), np.array([0, 0, 1.0]), 0.1)
+    for id_, plane in ((3, [0, 0.5, 0]), (8, [0.2, 0, 0])):
+        pipeline.scene.add_in_camera(id_, np.array(plane))
+    there = dict(zip((3, 8), pipeline.scene.in_camera(), strict=True))
+    assert pipeline._verified({3: 1.1 * there[3], 8: 2 * there[8]}, 1.0) == [3]
+    assert pipeline._verified({3: 2 * there[3], 8: 2 * there[8]}, 1.0) == [3, 8]
 
 
 @pytest.fixture(scope='module')
