@@ -4,7 +4,7 @@ VENV := .venv
 RUN := . $(VENV)/setup.sh &&
 WORKERS ?= 2
 .DEFAULT_GOAL := help
-.PHONY: help setup messages kernels config demo robot-demo test lint build bench evaluate losses fuzz kills flips interruptions soak mutants clean
+.PHONY: help setup messages kernels config demo robot-demo test lint build bench evaluate compare losses fuzz kills flips interruptions soak mutants clean
 
 # Stamps, one for each step, so that a step is repeated only when what it reads has changed.
 LIBRARIES := $(VENV)/.libraries
@@ -86,6 +86,9 @@ bench: setup ## measure the speed of each stage
 
 evaluate: setup ## run every sequence in ../shared/data and write docs/results.md
 	@$(RUN) python -m mv_slapse.tools.evaluate $(ARGS)
+
+compare: setup ## run the papers as printed and others beside the package, and write docs/comparison.md
+	@$(RUN) python benchmarks/compare.py $(ARGS)
 
 # The long tests; what they last gave stands in docs/reliability.md.
 RELIABILITY := cd test && OPENBLAS_NUM_THREADS=1 PYTHONPATH=.:..:$$PYTHONPATH python reliability
