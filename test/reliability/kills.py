@@ -19,9 +19,11 @@ import sys
 import time
 import unittest.mock
 
+from diagnostic_msgs.msg import DiagnosticArray
 from ffmpeg_image_transport_msgs.msg import FFMPEGPacket
 from mv_slapse.codec.source import open_source
 from mv_slapse.fields import stamp_from_message
+from mv_slapse.geometry.plane import WELL_SEEN
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.records import TrackingStatus
 from mv_slapse.storage.tum import read_trajectory
@@ -55,7 +57,8 @@ class Outcome:
     node: str
     seconds: float  # until it works again
     missed: float  # [m] of the way since before the kill, against the truth
-    same: bool  # whether map and trajectory go on
+    same: bool  # whether the trajectory goes on in the same local map
+    kept: bool  # whether the walls that were seen well are still in the map
     where: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # of the first pose after
 
 
@@ -103,8 +106,10 @@ class Drive:
                 (PlaneMap, 'planes/map', self.maps, latched),
                 (ObstacleArray, 'obstacles', self.obstacles, QoSProfile(depth=100))):
             self.node.create_subscription(kind, topic, self._keep(kept), profile)
+        self.heard = {}  # name of a node -> when it last said something of its state
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', lambda msg: (
+            self.heard.update((one.name, time.monotonic()) for one in msg.status)), 100)
         self._begin, self._due, self._next = 0, 0.0, 0
-        self.slower = 1.0  # times that the pictures come later than in reality
 
     @staticmethod
     def _keep(kept):
@@ -141,13 +146,13 @@ class Drive:
                 self._video.publish(to_message(FFMPEGPacket, packet_to_fields(
                     moved, SIZE, self._next, 'cam')))
                 self._next += 1
-                self._due = max(self._due + PERIOD * self.slower, time.monotonic() - PERIOD)
+                self._due = max(self._due + PERIOD, time.monotonic() - PERIOD)
         return bool(until())
 
-    def wait(self, seconds: float):
-        """Drive on for so long."""
+    def wait(self, seconds: float, drive: bool = True):
+        """Drive on, or stand, for so long."""
         end = time.monotonic() + seconds
-        self.spin(lambda: time.monotonic() >= end, seconds + 1)
+        self.spin(lambda: time.monotonic() >= end, seconds + 1, drive)
 
     def tracked(self) -> list[int]:
         """Return the stamps of this run that have a tracked pose."""
@@ -165,17 +170,21 @@ class Drive:
         return float(abs(np.linalg.norm(self.position(after) - self.position(before)) - true))
 
 
-def killed(drive: Drive, line: Line, name: str, delay: float, slower: float = 1.0) -> Outcome:
+def killed(drive: Drive, line: Line, name: str, delay: float, stands: bool = False) -> Outcome:
     """Kill a node, start it again, and wait until what it is needed for comes again.
 
-    On a busy machine that takes long; with ``slower`` fewer pictures come meanwhile.
+    ``stands``: no picture comes until it is back, which takes long on a busy machine.
     """
     before, newest = drive.tracked()[-1], max(drive.maps)
     result = drive.obstacles if name == 'obstacle_tracker' else drive.maps
     line.kill(name)
-    begin, drive.slower = time.monotonic(), slower
-    drive.wait(delay)
+    begin = time.monotonic()
+    drive.wait(delay, not stands)
     line.start(name)
+    if stands:
+        began = time.monotonic()
+        assert drive.spin(lambda: drive.heard.get(name, 0.0) > began, 60, False), name
+        drive.wait(1.5, False)  # diagnostics come before all are connected
     # what was on its way when the process ended may still come
     earliest = max(newest, max(result, default=0)) + 2 * 10**8
 
@@ -185,13 +194,14 @@ def killed(drive: Drive, line: Line, name: str, delay: float, slower: float = 1.
         return drive.tracked()[-1] > earliest
 
     assert drive.spin(works), f'{name} does not work again'
-    drive.slower = 1.0
     seconds, after = time.monotonic() - begin, drive.tracked()[-1]
-    same = drive.maps[after].began == drive.maps[before].began and (
-        {p.id for p in drive.maps[after].planes} >= {p.id for p in drive.maps[before].planes
-                                                     if p.n_observations > 5})
+    same = drive.maps[after].began == drive.maps[before].began
+    walls = {(p.id, p.first_seen.sec) for p in drive.maps[before].planes
+             if p.n_observations >= WELL_SEEN and not p.is_ground}
+    kept = walls <= {(p.id, p.first_seen.sec) for p in drive.maps[after].planes}
     first = next((s for s in drive.tracked() if s > earliest), after)
-    return Outcome(name, seconds, drive.missed(before, after), same, tuple(drive.position(first)))
+    return Outcome(name, seconds, drive.missed(before, after), same, kept,
+                   tuple(drive.position(first).tolist()))
 
 
 def main() -> int:
@@ -220,8 +230,10 @@ def main() -> int:
 def _summary(outcomes: list[Outcome]) -> dict[str, object]:
     seconds = [o.seconds for o in outcomes]
     return {'kills': len(outcomes), 'median [s]': round(statistics.median(seconds), 2),
-            'worst [s]': round(max(seconds), 2), 'worst miss [m]': round(
-                max(o.missed for o in outcomes), 2), 'goes on': sum(o.same for o in outcomes)}
+            'worst [s]': round(max(seconds), 2),
+            'worst miss [m]': round(max(o.missed for o in outcomes), 2),
+            'same local map': sum(o.same for o in outcomes),
+            'walls kept': sum(o.kept for o in outcomes)}
 
 
 if __name__ == '__main__':
