@@ -23,6 +23,7 @@ HEIGHT_WOBBLE = 0.02  # change of log(height) between key frames: suspension and
 FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for afresh
 GUESSED = 0.5  # the same of a ground that none shows, for movers: it is within a factor of 2.7
 FARTHEST = 2.0  # standard deviations by which that ground may lie farther, or nearer
+MISSED = 2  # pairs without it after which a ground that many pairs contradict is believed no more
 IN_VIEW = 0.9  # cosine of the course to the axis, 26 degrees; beyond, few cameras see it
 LEARNING = 0.1  # share that one key frame has in the learned mounting
 SLOW_LEARNING = 0.01  # the same in what kind of robot it is, which does not change
@@ -108,6 +109,7 @@ class GroundPrior:
     tilt: float  # standard deviation of its direction [rad]
     inverse_depth: float = 1.0  # 1 / d [1/baseline]
     spread: float = np.inf  # standard deviation of log(d); infinite: nothing is known
+    n_missed: int = 0  # pairs in a row that have not shown it
 
     def distance(self, planes: np.ndarray) -> np.ndarray:
         """Squared Mahalanobis distance of planes (N, 3); what faces down is far off."""
@@ -131,13 +133,14 @@ class GroundPrior:
     def informed(self, belief: HeightBelief) -> 'GroundPrior':
         """Return it with the height that many pairs show, where the last ones knew it less.
 
-        One that contradicts them has to outlast them.
+        One that contradicts them has to outlast them, unless it is not seen where they were.
         """
         spread = float(np.hypot(belief.spread, height.BIAS))
         if spread > min(self.spread, height.SURE):
             return self
         off = belief.log + np.log(self.inverse_depth)
-        if np.isfinite(self.spread) and abs(off) > 3 * np.hypot(self.spread, spread):
+        contradicts = abs(off) > 3 * np.hypot(self.spread, spread)
+        if contradicts and np.isfinite(self.spread) and self.n_missed < MISSED:
             return self
         return replace(self, inverse_depth=float(np.exp(-belief.log)), spread=spread)
 
@@ -162,6 +165,7 @@ class GroundTrack:
     plane: np.ndarray | None = None
     spread: float = np.inf
     tilt: float = 0.0
+    n_missed: int = 0
 
     def prior(self, R, t, ratio: float, ratio_sigma: float, wobble: float) -> GroundPrior:
         """Predict the ground through X_cur = R X_prev + t, |t| = 1 = exp(ratio) old baselines."""
@@ -174,7 +178,8 @@ class GroundTrack:
         tilt = (1 / own**2 + 1 / self.mount.spread**2) ** -0.5
         # Suspension and slope change the height by a few per cent between key frames.
         spread = np.sqrt(self.spread**2 + ratio_sigma**2 + HEIGHT_WOBBLE**2)
-        return GroundPrior(expected / np.linalg.norm(expected), tilt, inverse_depth, spread)
+        return GroundPrior(expected / np.linalg.norm(expected), tilt, inverse_depth, spread,
+                           self.n_missed)
 
     def seen(self, id: int, plane: np.ndarray, covariance: np.ndarray) -> 'GroundTrack':
         """Return the track after the ground was found, with its covariance (3, 3)."""
@@ -189,7 +194,8 @@ class GroundTrack:
         if self.plane is None or prior.spread > FORGOTTEN:
             return GroundTrack(self.mount, self.id)
         return GroundTrack(self.mount, self.id, prior.normal * prior.inverse_depth,
-                           np.hypot(prior.spread, 2 * HEIGHT_WOBBLE), prior.tilt)
+                           np.hypot(prior.spread, 2 * HEIGHT_WOBBLE), prior.tilt,
+                           self.n_missed + 1)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from mv_slapse.motion.observations import Depths
 from mv_slapse.surfaces import height
+from mv_slapse.surfaces.ground import GroundTrack, MISSED, Mount
 from mv_slapse.surfaces.height import GRID, HeightBelief, RoadBlocks
 import numpy as np
 import pytest
@@ -99,6 +100,21 @@ def test_a_ground_that_many_pairs_contradict_is_none():
     assert not belief.allows(up / 1.6)
     assert not belief.allows(up / 1.05)
     assert HeightBelief.blank().allows(up / 30)
+
+
+def test_a_ground_that_is_not_seen_gives_way_to_the_height_that_many_pairs_show():
+    """A wrong ground at the start of a drive was kept for 50 pairs, and no other was found."""
+    p = np.exp(-0.5 * np.square(GRID / 0.03))
+    belief, up = HeightBelief(p / p.sum()), np.array([0.0, -1.0, 0.0])
+    R, t = np.eye(3), np.array([0.0, 0.0, -1.0])
+    track = GroundTrack(Mount(), 0, 2.2 * up, 0.02, 0.01)
+    for n in range(3):
+        prior = track.prior(R, t, 0.0, 0.0, 0.01)
+        assert prior.n_missed == track.n_missed == n
+        expected = 2.2 if n < MISSED else 1.0
+        assert prior.informed(belief).inverse_depth == pytest.approx(expected, rel=0.01)
+        track = track.missed(prior)
+    assert track.seen(0, up, 1e-4 * np.eye(3)).n_missed == 0
 
 
 @pytest.mark.parametrize('log_ratio', [-0.7, 0.0, 0.3])
