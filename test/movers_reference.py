@@ -260,9 +260,13 @@ def _score(i, fit, o, K, t, seen, nearer, c):
         share = np.sqrt((c.foot_sigma**2 + (c.bank_sigma * aside)**2) / max(drop, 1)**2
                         + c.ground_sigma**2)
         farthest = max(foot, o.rho[i])
+        near = max(farthest, 0)
         below = (max(under - farthest, 0) / np.hypot(sigma, share * under))**2 - 1
-        hidden = ground_below(i, max(farthest, 0) / under, o, seen, c)
-        distance += max(min(below, max(c.no_land - o.land[i], 0), max(c.unseen + hidden, 0)), 0)
+        hidden = ground_below(i, near / under, o, seen, c)
+        most = min(max(c.no_land - o.land[i], 0), max(c.unseen + hidden, 0))
+        rows = looks_farther(i, near, o, seen, c)
+        by_rows = max(distance, 0) + min(rows, most) if rows > 0 and most > 0 else -np.inf
+        distance = max(distance + max(min(below, most), 0), by_rows)
     foot = min(foot, o.rho[i])
     if np.isfinite(drop) and distance > 0:
         if size[1] < o.limit[2] * drop:
@@ -319,6 +323,27 @@ def body_above(i, o, seen, c):
     ground, region = (np.log(np.exp(-0.5 * ((rho - as_if) / sigma)**2) + c.outlier)
                       for as_if in (under, o.rho[i]))
     return 2 * np.sum(region - ground) / c.dependence
+
+
+def looks_farther(i, near, o, seen, c):
+    """Return how much rather a region is farther than the ground, which shows beside it."""
+    left, right = (o.low[i, 0] - c.macroblock / 2, o.high[i, 0] + c.macroblock / 2)
+
+    def told(near, low, high):
+        at = ((seen.x[:, 0] > low) & (seen.x[:, 0] < high) & (seen.under > near)
+              & (seen.x[:, 1] < o.foot[i, 1]))
+        under = seen.under[at]
+
+        def rather(rho, noise):
+            sigma = np.hypot(noise, c.ground_sigma * under)
+            return (np.log(np.exp(-0.5 * (np.maximum(rho - near, 0) / sigma)**2) + c.outlier)
+                    - np.log(np.exp(-0.5 * (np.maximum(under - rho, 0) / sigma)**2) + c.outlier))
+        foreseen = rather(*seen.foreseen[at].T)
+        return 2 * np.sum(rather(seen.rho[at], seen.noise[at]) + np.minimum(foreseen, 0)
+                          ) / c.dependence
+    low = max(near, 0.5 * o.under[i])
+    sides = max(told(low, left - c.around, left), told(low, right, right + c.around))
+    return min(told(near, left, right), max(c.unseen - sides, 0))
 
 
 def ground_below(i, ratio, o, seen, c):

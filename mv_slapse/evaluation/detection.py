@@ -90,6 +90,20 @@ def box_figures(obstacles: Table, stamps: np.ndarray, frames: Table, fps: float
             'boxes_met_percent': 100 * float(np.mean(met)) if met else None}
 
 
+def point_boxes(points: PointLabels) -> Table:
+    """Return the boxes around the visible points of each mover, as columns of a table."""
+    rows = []
+    for frame in range(points.tracks.shape[1]):
+        for mover in np.unique(points.label[points.label > 1]):
+            x = points.tracks[points.visible[:, frame] & (points.label == mover), frame]
+            if len(x):
+                rows.append([round(1e9 * frame / points.fps), mover, *x.min(axis=0),
+                             *np.ptp(x, axis=0)])
+    columns = np.array(rows, float).reshape(-1, 6).T
+    names = ('stamp', 'id', 'x', 'y', 'width', 'height')
+    return dict(zip(names, (columns[0].astype(np.int64), *columns[1:]), strict=True))
+
+
 def point_figures(labels: LabelTable, points: PointLabels) -> dict[str, Any]:
     """Return the figures of labelled points (``motion_labels.npz``)."""
     frame_stamps = np.round(np.arange(points.tracks.shape[1]) / points.fps * 1e9)

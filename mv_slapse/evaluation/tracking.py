@@ -67,15 +67,16 @@ def figures(obstacles: Table, stamps: np.ndarray, movers: Table, path: Trajector
         (6, 6) of (position, velocity) [unit] by stamp and id.
     """
     rows = confirmed(obstacles)
-    frames = _key_frames(stamps, movers)
-    matches = _matches(rows, movers, frames)
+    frames = key_frames(stamps, movers)
+    matches = matched(rows, movers, frames)
     large = movers['n_macroblocks'] >= MIN_MACROBLOCKS
-    due = passages(movers, large & (_speed(movers) >= MOVING))
+    due = passages(movers, large & (speed(movers) >= MOVING))
     return {**_tracked(due, matches, frames),
             'identity_switches': _switches(rows, due, matches), **_relabelled(movers, matches),
             **_errors(rows, movers, matches, path, scale),
             'obstacle_nees': _nees(rows, movers, matches, scale, covariances or {}),
-            'false_obstacles_per_frame': _false(rows, movers, frames) / max(len(stamps), 1)}
+            'false_obstacles_per_frame':
+                float(np.sum(~on_movers(rows, movers, frames))) / max(len(stamps), 1)}
 
 
 def passages(movers: Table, holds: np.ndarray) -> list[Passage]:
@@ -89,14 +90,19 @@ def passages(movers: Table, holds: np.ndarray) -> list[Passage]:
     return found
 
 
-def _key_frames(stamps: np.ndarray, movers: Table) -> dict[int, int]:
+def speed(movers: Table) -> np.ndarray:
+    """Return the speed (N,) of each row of a table of movers [m/s]."""
+    return np.linalg.norm(_vectors(movers, 'v'), axis=1)
+
+
+def key_frames(stamps: np.ndarray, movers: Table) -> dict[int, int]:
     """Return the true stamp of each key frame for which the truth has a mover."""
     true = np.unique(movers['stamp'])
     i, j = associate(stamps, true)
     return {int(stamps[a]): int(true[b]) for a, b in zip(i, j, strict=True)}
 
 
-def _matches(rows: Table, movers: Table, frames: dict[int, int]) -> list[Match]:
+def matched(rows: Table, movers: Table, frames: dict[int, int]) -> list[Match]:
     """Return which obstacle meets each mover; one before another car is not that car, too."""
     found = []
     for stamp, true in frames.items():
@@ -144,7 +150,7 @@ def _relabelled(movers: Table, matches: list[Match]) -> dict[str, Any]:
     for mover, start, end in passages(movers, large):
         own = large & (movers['id'] == mover) & (movers['stamp'] >= start) & (
             movers['stamp'] <= end)
-        moves, times = _speed(movers)[own] >= MOVING, movers['stamp'][own]
+        moves, times = speed(movers)[own] >= MOVING, movers['stamp'][own]
         met = np.array([m.stamp for m in matches if m.mover == mover], float)
         for k in 1 + np.flatnonzero(np.diff(moves.astype(int))):
             if end - times[k] >= RELABELLED:
@@ -196,14 +202,17 @@ def _nees(rows: Table, movers: Table, matches: list[Match], scale: float,
     return float(np.mean(found)) if found else None
 
 
-def _false(rows: Table, movers: Table, frames: dict[int, int]) -> int:
-    """Return how many rows meet no mover; where none is visible the truth has no row at all."""
-    found = 0
+def on_movers(rows: Table, movers: Table, frames: dict[int, int]) -> np.ndarray:
+    """Return which rows (N,) bool of obstacles lie on a mover.
+
+    Where none is visible the truth has no row at all.
+    """
+    found = np.zeros(len(rows['stamp']), bool)
     for stamp in np.unique(rows['stamp']):
-        mine = select(rows, rows['stamp'] == stamp)
+        mine = rows['stamp'] == stamp
         there = select(movers, movers['stamp'] == frames.get(int(stamp), -1))
-        covered = _covered(boxes(mine), boxes(there))
-        found += int(np.sum(covered.max(axis=1, initial=0) < ON_MOVER))
+        covered = _covered(boxes(select(rows, mine)), boxes(there))
+        found[mine] = covered.max(axis=1, initial=0) >= ON_MOVER
     return found
 
 
@@ -219,10 +228,6 @@ def _rows(matches: list[Match]) -> tuple[np.ndarray, np.ndarray]:
 
 def _vectors(table: Table, letter: str) -> np.ndarray:
     return np.c_[table[f'{letter}x'], table[f'{letter}y'], table[f'{letter}z']]
-
-
-def _speed(movers: Table) -> np.ndarray:
-    return np.linalg.norm(_vectors(movers, 'v'), axis=1)
 
 
 def _median(values: np.ndarray) -> float | None:

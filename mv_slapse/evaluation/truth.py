@@ -9,7 +9,8 @@ from mv_slapse.storage.tables import read_table
 from mv_slapse.storage.tum import read_trajectory, Trajectory
 import numpy as np
 
-MOVER_COLUMNS = 'stamp,id,x,y,width,height,px,py,pz,vx,vy,vz,ttc,n_macroblocks'
+MOVER_COLUMNS = ('stamp,id,x,y,width,height,px,py,pz,vx,vy,vz,ttc,n_macroblocks,range,'
+                 'closing,aside')
 
 
 @dataclass(frozen=True)

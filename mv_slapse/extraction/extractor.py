@@ -117,9 +117,10 @@ class PlaneExtractor:
         blank, evidence = status.only(whole, rows), seen[rows]
         pair = evidence.pair
         told = Told(known[rows], length, ratio)
-        found = Found(fit, evidence, self._planes(blank, evidence, fit, told, floor, free[rows],
-                                                  road[rows]))
-        found = self._moving(blank, pair, self._named(found), floor, ratio)
+        found = self._named(Found(
+            fit, evidence, self._planes(blank, evidence, fit, told, floor, free[rows], road[rows]),
+            foreseen=self._map(whole).foreseen(pair, told.known, fit, length)))
+        found = self._moving(blank, pair, found, floor, ratio)
         found = self._refined(pair, found, floor)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
         shown = self._finished(blank, pair, found, noise, floor)
@@ -293,15 +294,16 @@ class PlaneExtractor:
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev)
         shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
                         sigma=pair.sigma.astype(np.float32))
-        level = left = None
+        level = before = None
         if rides:
-            level, left = prior.normal, departure(
+            level, before = prior.normal, regions.Before(departure(
                 self._memory.past_at(blank, fit, ratio), blank,
-                depths_of(pair, blank, found.evidence, found.evidence.has_depth), floor)
+                depths_of(pair, blank, found.evidence, found.evidence.has_depth), floor),
+                found.foreseen)
         known = regions.KnownGround(floor if rides else None, level, nearer, self._camera_height,
                                     id_)
         shown, self._movers = regions.with_moving_planes(
-            shown, self._movers, self._settings.moving_score, known, left)
+            shown, self._movers, self._settings.moving_score, known, before)
         still = shown.label != Label.MOVING
         planes = [replace(plane, member=plane.member & still) for plane in found.planes
                   if plane.is_ground or np.mean(still[plane.member]) > 0.5]

@@ -345,7 +345,8 @@ struct SeenBlocks {
         rho(kernel, "rho", seen.attr("rho"), {x.size()}),
         sigma(kernel, "noise", seen.attr("noise"), {x.size()}),
         under(kernel, "under", seen.attr("under"), {x.size()}),
-        copied(kernel, "copied", seen.attr("copied"), {x.size()}) {
+        copied(kernel, "copied", seen.attr("copied"), {x.size()}),
+        foreseen(kernel, "foreseen", seen.attr("foreseen"), {x.size(), 2}) {
     for (py::ssize_t i = 0; i < x.size(); ++i) {
       share_copied += copied[i];
       first = std::min(first, x(i, 0));
@@ -355,6 +356,7 @@ struct SeenBlocks {
   }
   In<double> x, rho, sigma, under;
   In<bool> copied;
+  In<double> foreseen;
   double share_copied = 0, first = INFINITE, last = -INFINITE;
 };
 
@@ -474,6 +476,40 @@ class Judge {
     return 2 * sum / c.dependence;
   }
 
+  // How much rather blocks from one column to another look as far as `near` or farther than as near
+  // as the ground or nearer, as chi-square: those above the foot of a region that would hide them.
+  // What the pairs before foresaw has told its part: it only speaks against a vector that is new.
+  double looks_farther(py::ssize_t r, double near, double from, double to) const {
+    double evidence = 0;
+    for (py::ssize_t i = 0; i < seen.x.size(); ++i) {
+      const double under = seen.under[i];
+      if (!(seen.x(i, 0) > from) || !(seen.x(i, 0) < to) || !(under > near) ||
+          !(seen.x(i, 1) < o.foot(r, 1)))
+        continue;
+      const auto told = [&](double rho, double noise) {
+        const double sigma = std::hypot(noise, c.ground_sigma * under);
+        return std::log(normal(std::max(rho - near, 0.0) / sigma) + c.outlier) -
+               std::log(normal(std::max(under - rho, 0.0) / sigma) + c.outlier);
+      };
+      evidence += told(seen.rho[i], seen.sigma[i]) +
+                  std::min(told(seen.foreseen(i, 0), seen.foreseen(i, 1)), 0.0);
+    }
+    return 2 * evidence / c.dependence;
+  }
+
+  // The same of a region itself, as far as the ground is seen on both sides of it: land that hides
+  // its own foot looks farther, too, but it does not end there.
+  double looks_farther(py::ssize_t r, double near) const {
+    const double left = o.low(r, 0) - c.macroblock / 2, right = o.high(r, 0) + c.macroblock / 2,
+                 beside = c.around, own = looks_farther(r, near, left, right);
+    if (own <= 0) return own;
+    // Near the horizon vectors tell little: its lower half is what ground must show beside.
+    const double low = std::max(near, 0.5 * o.under[r]);
+    const double sides = std::max(looks_farther(r, low, left - beside, left),
+                                  looks_farther(r, low, right, right + beside));
+    return std::min(own, std::max(c.unseen - sides, 0.0));
+  }
+
   // How much rather the ground is seen where a region would hide it, as chi-square. What stands
   // still and looks `ratio` times nearer than the ground at its foot reaches down to where the
   // ground is as near. What is seen there shows the ground's depth or the region's; what is nearer
@@ -506,8 +542,10 @@ class Judge {
   }
 
  private:
+  static double normal(double x) { return std::exp(-0.5 * square(x)); }
+
   double likely(py::ssize_t i, double rho, double sigma) const {
-    return std::exp(-0.5 * square((seen.rho[i] - rho) / sigma));
+    return normal((seen.rho[i] - rho) / sigma);
   }
 
   const RegionOutlines& o;
@@ -581,13 +619,16 @@ py::array_t<double> region_scores(const py::object& fit, const py::object& outli
       const double share = std::sqrt((square(c.foot_sigma) + square(c.bank_sigma * aside)) /
                                          square(std::max(drop, 1.0)) +
                                      square(c.ground_sigma));
-      const double farthest = std::max(foot, o.rho[r]);
+      const double farthest = std::max(foot, o.rho[r]), near = std::max(farthest, 0.0);
       const double lacking = std::max(under - farthest, 0.0) / std::hypot(sigma, share * under);
-      const double below = square(lacking) - 1;
-      if (below > 0)
-        distance += std::min({below, std::max(c.no_land - o.land[r], 0.0),
-                              std::max(c.unseen + judge.ground_below(
-                                                      r, std::max(farthest, 0.0) / under), 0.0)});
+      const double most = std::min(std::max(c.no_land - o.land[r], 0.0),
+                                   std::max(c.unseen + judge.ground_below(r, near / under), 0.0));
+      const double by_foot = square(lacking) - 1,
+                   by_rows = most > 0 ? judge.looks_farther(r, near) : 0;
+      // That a car ahead follows the lines of what stands still tells nothing of it.
+      const double lines = std::max(distance, 0.0);
+      if (by_foot > 0) distance += std::min(by_foot, most);
+      if (by_rows > 0) distance = std::max(distance, lines + std::min(by_rows, most));
     }
     const double at_foot = std::min(foot, o.rho[r]);
     // The road's own wrong vectors are short: low or scattered, they are no vehicle.

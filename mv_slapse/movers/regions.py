@@ -74,6 +74,19 @@ class KnownGround(NamedTuple):
     id: int = -1  # of its plane, -1: none
 
 
+class Before(NamedTuple):
+    """What the pairs before tell of the blocks (N,) of a pair if they stand still."""
+
+    departure: np.ndarray  # log-likelihoods, as of movers.reference_depth.departure
+    # (N, 2): inverse depth and standard deviation [1/baseline], infinite where it is unknown
+    foreseen: np.ndarray
+
+    @classmethod
+    def unknown(cls, n: int) -> 'Before':
+        """Return what nothing tells of n blocks."""
+        return cls(np.zeros(n), np.tile((0.0, np.inf), (n, 1)))
+
+
 class _Pair(NamedTuple):
     """Columns of the blocks (N,) of a pair."""
 
@@ -81,7 +94,8 @@ class _Pair(NamedTuple):
     x_prev: np.ndarray  # (N, 2): their matches [px]
     block: np.ndarray  # (N, 2): sizes [px]
     sigma: np.ndarray  # (N,): of the vectors [px]
-    departure: np.ndarray  # (N,): as of with_moving_planes
+    departure: np.ndarray  # (N,) and
+    foreseen: np.ndarray  # (N, 2): as of Before
     plane_id: np.ndarray  # (N,) int32
     wrong: np.ndarray  # (N,) bool: nothing still explains the vector
 
@@ -94,6 +108,7 @@ class _Alike(NamedTuple):
     block: np.ndarray
     sigma: np.ndarray
     departure: np.ndarray
+    foreseen: np.ndarray
     plane_id: np.ndarray
     wrong: np.ndarray
     parallax: np.ndarray  # (N, 2) [px]
@@ -135,16 +150,17 @@ class _Scores(NamedTuple):
 
 
 def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
-                       ground: KnownGround, departure: np.ndarray | None = None
+                       ground: KnownGround, before: Before | None = None
                        ) -> tuple[Extraction, Memory]:
     """Add the moving planes of a pair to what was found stationary in it.
 
     The extraction has motion, labels, and the ids of stationary planes; ``memory`` is what the
     last call returned. From the score ``threshold`` on, chi-square beyond its mean, a region is
-    called moving: its blocks are labelled MOVING with the plane's id. ``departure`` (N,) is as of
-    movers.reference_depth.departure. Returns extraction and memory.
+    called moving: its blocks are labelled MOVING with the plane's id. Returns extraction and
+    memory.
     """
-    pair = _pair(extraction, departure)
+    before = before or Before.unknown(len(extraction.x_cur))
+    pair = _pair(extraction, before)
     motion = extraction.motion
     view = View(extraction.K, np.ascontiguousarray(motion.R_cur_from_prev, float),
                 np.ascontiguousarray(motion.t_cur_from_prev, float))
@@ -166,17 +182,17 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     return found, memory.after(extraction, judged, next_id)
 
 
-def _pair(extraction, departure):
+def _pair(extraction, before):
     """Return the blocks of a pair as the kernels take them."""
     x, x_prev, block, sigma = (np.ascontiguousarray(values, float) for values in (
         extraction.x_cur, extraction.x_prev, extraction.block, extraction.sigma))
-    return _Pair(x, x_prev, block, sigma, np.zeros(len(x)) if departure is None else departure,
+    return _Pair(x, x_prev, block, sigma, *before,
                  np.ascontiguousarray(extraction.plane_id, np.int32),
                  extraction.label == Label.UNKNOWN)
 
 
 def _regions(extraction, pair, view, ground):
-    """Judge the blocks singly and join those that move alike.
+    """Judge the blocks singly and join those that move alike, or are one body.
 
     Where the camera stands no depth tells how what comes near grows.
     """
@@ -187,7 +203,7 @@ def _regions(extraction, pair, view, ground):
         RULES))
     if ground.plane is None:
         return alike
-    members, first = body.with_bodies(alike, (extraction.width, extraction.height))
+    members, first = body.with_bodies(alike, extraction.width, ground.camera_height)
     return alike._replace(members=members, first=first)
 
 

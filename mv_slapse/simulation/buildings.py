@@ -118,6 +118,14 @@ def _strip(scene: Scene, path: Path, along, across, texture: str, layer: int,
                   texture, layer=layer, shift=shift, shade=shade)
 
 
+def add_shadows(scene: Scene, path: Path, count: int, reach: float, rng: np.random.Generator):
+    """Add shadows, as of trees, across the road along which the camera goes ``reach`` [m]."""
+    for s in rng.uniform(0, reach + BEYOND, count):
+        left = rng.uniform(KERB[-1], 0)
+        _strip(scene, path, (s, s + rng.uniform(0.5, 4)), (left, left + rng.uniform(2, 7)),
+               'patch', 3, shift=tuple(rng.uniform(size=2)), shade=rng.uniform(0.4, 0.65))
+
+
 def _row(scene: Scene, path: Path, side: int, span: tuple[float, float],
          crossings: tuple[float, ...], rng: np.random.Generator):
     """Add a row of houses on one side: -1 left, 1 right."""

@@ -41,6 +41,8 @@ class StreetSettings(Checked):
     movers: tuple[str, ...] = setting(
         ('slower', 'faster', 'oncoming'), '-', 'kinds of cars that move, of traffic.KINDS')
     parked: int = setting(1, '-', 'number of parked cars', 0, 6)
+    parking: float = setting(traffic.PARKING, 'm', 'how far to the right they stand', 2.0, 10.0)
+    shadows: int = setting(0, '-', 'number of shadows across the road', 0, 50)
     houses: bool = setting(True, '-', 'whether anything stands beside and beyond the road')
     noise: float = setting(1.8, 'grey', 'standard deviation of the sensor noise', 0.0, 50.0)
     contrast: float = setting(1.0, '-', 'factor on the contrast of the textures', 0.0, 3.0)
@@ -82,7 +84,8 @@ class Street:
         crossings = traffic.crossings(settings.movers)
         scene = buildings.build(path, reach, crossings, rng, settings.houses)
         self.movers: tuple[Car, ...] = traffic.drive(settings.movers, path, settings.speed, rng)
-        scene.add_cars(traffic.park(settings.parked, path, rng))
+        scene.add_cars(traffic.park(settings.parked, path, rng, settings.parking))
+        buildings.add_shadows(scene, path, settings.shadows, reach, rng)
         self.names = scene.names
         R, t = self.ride.pose(0.0)
         self.R_world_from_street, self.t_world_from_street = R.T, -R.T @ t

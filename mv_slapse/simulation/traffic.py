@@ -2,7 +2,8 @@
 
 Cars do not see each other: of slower, starting, stopping and bus_beside (right lane) and of
 faster, same_speed and bus_ahead (own lane), take one each where they should not drive through one
-another.
+another. AHEAD are hazards, one of them at a time: at an unchanged speed the camera would run into
+each.
 """
 
 from mv_slapse.simulation import textures
@@ -11,17 +12,24 @@ from mv_slapse.simulation.surfaces import FIRST_MOVER
 from mv_slapse.simulation.vehicles import Car
 import numpy as np
 
-KINDS = ('slower', 'faster', 'same_speed', 'oncoming', 'crossing', 'starting', 'stopping',
-         'bus_ahead', 'bus_beside')
 BUS = (2.6, 3.4, 9.0)  # width, height, length [m]
-SIZES = {'bus_ahead': BUS, 'bus_beside': BUS}
+LEADERS = {'leader_2': 2.0, 'leader_3': 3.0, 'leader_5': 5.0, 'leader_8': 8.0, 'bus_leader': 4.0,
+           'cyclist': 4.0}  # [m/s]
+AHEAD = (*LEADERS, 'braking_leader', 'starting_leader', 'cut_in', 'oncoming_ahead',
+         'crossing_ahead', 'pedestrian')
+SIZES = {'bus_ahead': BUS, 'bus_beside': BUS, 'bus_leader': BUS, 'cyclist': (0.6, 1.7, 1.8),
+         'pedestrian': (0.6, 1.7, 0.6)}
+KINDS = ('slower', 'faster', 'same_speed', 'oncoming', 'crossing', 'starting', 'stopping',
+         'bus_ahead', 'bus_beside', *AHEAD)
 OWN_LANE, RIGHT_LANE, LEFT_LANE, PARKING = 0.0, 3.4, -3.6, 6.4   # lateral [m]
 CROSSING_AT = 50.0   # arc length of the street that crosses [m]
+CONTACT = 4.5  # [s] until the camera meets what is ahead at a steady speed, and up to 0.4 more
+MERGING = 17.0  # [m] of way on which a car that cuts in changes lanes
 
 
 def crossings(kinds: tuple[str, ...]) -> tuple[float, ...]:
     """Return the arc lengths [m] at which streets cross."""
-    return (CROSSING_AT,) if 'crossing' in kinds else ()
+    return (CROSSING_AT,) if {'crossing', 'crossing_ahead'} & set(kinds) else ()
 
 
 def drive(kinds: tuple[str, ...], path: Path, speed: float,
@@ -50,19 +58,55 @@ def _mover(id_: int, kind: str, path: Path, speed: float, far: float,
         'bus_ahead': (OWN_LANE, 13.5, steady(pace + 0.3)),
         'bus_beside': (RIGHT_LANE, 9.0, steady(pace - 0.5)),
     }
-    lateral, start, profile = plans[kind]
+    size = SIZES.get(kind, Car.size)
+    if kind in AHEAD:
+        way, lateral, start, profile = _ahead(kind, path, pace, CONTACT + 0.1 * gap, size[2] / 2)
+    else:
+        way, (lateral, start, profile) = path, plans[kind]
     if kind == 'crossing':
-        place = path.at(CROSSING_AT)
-        x, z = place.position
-        path = Path(origin=(float(x), float(z)), heading=place.heading + np.pi / 2)
-    return Car(id_, kind, path, lateral, start, profile, _paint(), SIZES.get(kind, Car.size),
+        way = _across(path, CROSSING_AT, np.pi / 2)
+    return Car(id_, kind, way, lateral, start, profile, _paint(), size,
                shade=rng.uniform(0.6, 1.2))
 
 
-def park(n: int, path: Path, rng: np.random.Generator) -> tuple[Car, ...]:
-    """Return n cars that stand at the right kerb."""
+def _ahead(kind: str, path: Path, pace: float, contact: float,
+           half: float) -> tuple[Path, float, float, SpeedProfile]:
+    """Return way, lateral, start and speed of what the camera meets after ``contact`` [s].
+
+    Half its length lies before its middle. The road is straight where it merges.
+    """
+    if kind in LEADERS:
+        lateral = 0.7 if kind == 'cyclist' else OWN_LANE
+        return path, lateral, half + contact * (pace - LEADERS[kind]), steady(LEADERS[kind])
+    if kind == 'crossing_ahead':
+        return _across(path, CROSSING_AT, np.pi / 2), 0.0, -5.0 * CROSSING_AT / pace, steady(5.0)
+    if kind == 'pedestrian':
+        return _across(path, contact * pace, -np.pi / 2), 0.0, -1.4 * contact, steady(1.4)
+    if kind == 'oncoming_ahead':
+        return path, OWN_LANE, half + contact * (pace + 6.0), steady(-6.0)
+    if kind == 'braking_leader':  # brakes hard from the camera's speed, two seconds ahead
+        return path, OWN_LANE, half + 2.1 * pace, SpeedProfile((1.2, 3.2), (pace, 0.0))
+    if kind == 'starting_leader':
+        return path, OWN_LANE, half + 3.1 * pace, SpeedProfile((0.8, 2.8), (0.0, 0.5 * pace))
+    speed, bend = 0.65 * pace, 4 * RIGHT_LANE / MERGING**2
+    start = half + contact * (pace - speed)
+    pieces = ((start, 0.0), (MERGING / 2, -bend), (MERGING / 2, bend))
+    x, z = path.at(0).beside(RIGHT_LANE)
+    return Path(pieces, (float(x), float(z))), 0.0, start, steady(speed)
+
+
+def _across(path: Path, s: float, turned: float) -> Path:
+    """Return the way that crosses a path at an arc length [m], its heading turned [rad]."""
+    place = path.at(s)
+    x, z = place.position
+    return Path(origin=(float(x), float(z)), heading=place.heading + turned)
+
+
+def park(n: int, path: Path, rng: np.random.Generator,
+         lateral: float = PARKING) -> tuple[Car, ...]:
+    """Return n cars that stand on the right, ``lateral`` [m] beside the camera's lane."""
     starts = 22 + 17 * np.arange(n) + rng.uniform(0, 6, n)
-    return tuple(Car(-1, f'parked car {k}', path, PARKING, float(s), steady(0.0), _paint(),
+    return tuple(Car(-1, f'parked car {k}', path, lateral, float(s), steady(0.0), _paint(),
                      shade=rng.uniform(0.6, 1.2)) for k, s in enumerate(starts))
 
 

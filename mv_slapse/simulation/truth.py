@@ -22,7 +22,8 @@ from mv_slapse.storage.tum import format_stamp, write_poses
 import numpy as np
 
 VISIBLE = 64   # a mover with fewer pixels is not visible
-MOVERS_HEADER = 'stamp,id,x,y,width,height,px,py,pz,vx,vy,vz,ttc,n_macroblocks'
+MOVERS_HEADER = ('stamp,id,x,y,width,height,px,py,pz,vx,vy,vz,ttc,n_macroblocks,range,'
+                 'closing,aside')
 CLOSING = 1e-3   # slower is not closing [m/s]
 NONE = -2   # a block that no surface covers by more than half
 
@@ -42,6 +43,13 @@ class MoverTruth(NamedTuple):
         Until the camera is in the plane of that face [s]; inf if it never will be.
     n_macroblocks : int
         Blocks it covers by more than half.
+    range : float
+        From the camera to that centre [m].
+    closing : float
+        Speed at which the camera nears the plane of that face [m/s].
+    aside : float
+        How far beside the camera's way its nearest corner is at contact, if both go on as they do
+        [m]; 0: on it, inf: there is no contact, or the camera stands.
     """
 
     stamp: int
@@ -51,6 +59,9 @@ class MoverTruth(NamedTuple):
     velocity: np.ndarray
     time_to_contact: float
     n_macroblocks: int
+    range: float
+    closing: float
+    aside: float
 
 
 class TruthRecorder:
@@ -132,8 +143,9 @@ def mover_truths(street: Street, i: int, surface: np.ndarray,
             continue
         x, y = columns.min(), rows.min()
         box = np.array([x, y, columns.max() - x + 1, rows.max() - y + 1])
-        found.append(MoverTruth(street.stamp(i), id_, box, *_kinematics(street, id_, i),
-                                int(np.sum(blocks == id_))))
+        position, velocity, *contact = _kinematics(street, id_, i)
+        found.append(MoverTruth(street.stamp(i), id_, box, position, velocity, contact[0],
+                                int(np.sum(blocks == id_)), *contact[1:]))
     return found
 
 
@@ -161,21 +173,39 @@ def outline(plane: Plane) -> np.ndarray:
     return plane.corners[hull]
 
 
-def _kinematics(street: Street, id_: int, i: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return position and velocity of the face towards the camera in {W}, and time to contact."""
+def _kinematics(street: Street, id_: int, i: int):
+    """Return what a mover does by the face towards the camera.
+
+    Position and velocity in {W}, time to contact, range, closing speed and aside.
+    """
     time, h = street.time(i), 1e-4
     eye = street.ride.pose(time)[1]
     # The camera's way has no closed derivative where it sways on an arc; h^2 errors are < 1e-6.
     eye_velocity = (street.ride.pose(time + h)[1] - street.ride.pose(time - h)[1]) / (2 * h)
-    face = street.mover(id_).face_towards(eye, time)
+    car = street.mover(id_)
+    face = car.face_towards(eye, time)
     gap = face.normal @ (eye - face.centre)
     closing = face.normal @ (face.velocity - eye_velocity)
     contact = gap / closing if closing > CLOSING and gap > 0 else np.inf
+    met = (car.quads(time).corners().reshape(-1, 3) - eye) + contact * (
+        face.velocity - eye_velocity) if np.isfinite(contact) else None
     R, t = street.R_world_from_street, street.t_world_from_street
-    return R @ face.centre + t, R @ face.velocity, float(contact)
+    return (R @ face.centre + t, R @ face.velocity, float(contact),
+            float(np.linalg.norm(face.centre - eye)), float(closing),
+            _aside(met, eye_velocity))
+
+
+def _aside(met: np.ndarray | None, eye_velocity: np.ndarray) -> float:
+    """Return how far beside the camera's way the nearest of corners (N, 3) before it lies."""
+    speed = np.hypot(eye_velocity[0], eye_velocity[2])
+    if met is None or speed < CLOSING:
+        return float('inf')
+    beside = (met[:, 0] * eye_velocity[2] - met[:, 2] * eye_velocity[0]) / speed
+    return float(max(beside.min(), -beside.max(), 0.0))
 
 
 def _row(mover: MoverTruth) -> str:
     numbers = [*mover.box, *mover.position, *mover.velocity, mover.time_to_contact]
     values = ','.join(f'{value:.9g}' for value in numbers)
-    return f'{format_stamp(mover.stamp)},{mover.id},{values},{mover.n_macroblocks}'
+    last = ','.join(f'{value:.9g}' for value in (mover.range, mover.closing, mover.aside))
+    return f'{format_stamp(mover.stamp)},{mover.id},{values},{mover.n_macroblocks},{last}'

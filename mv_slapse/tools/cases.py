@@ -21,6 +21,7 @@ from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed
 from mv_slapse.simulation.flight import CUT_FISHEYE, FISHEYE, Flight, FlightSettings, WIDE
 from mv_slapse.simulation.street import Street, StreetSettings
+from mv_slapse.simulation.traffic import AHEAD
 from mv_slapse.simulation.truth import film, film_flight
 from mv_slapse.simulation.wheels import drawn_speeds
 from mv_slapse.storage.camera_info import read_camera
@@ -53,6 +54,20 @@ DRIVES: dict[str, dict[str, Any]] = {  # how the camera drives, where it is not 
     'fast 14 m/s': {'speed': 14.0, 'n_frames': 80, **CAR},
     'fast 20 m/s': {'speed': 20.0, 'n_frames': 60, **CAR},
     'bare road': {'houses': False, 'parked': 0, 'movers': ()}}
+HAZARDS: dict[str, dict[str, Any]] = {  # what the camera would run into, and what is none
+    **{kind.replace('_', ' '): {'movers': (kind,)} for kind in AHEAD},
+    # These come late, or are small for long.
+    **{kind.replace('_', ' '): {'movers': (kind,), 'n_frames': 126} for kind in (
+        'cyclist', 'oncoming_ahead', 'pedestrian')},
+    'crossing ahead': {'movers': ('crossing_ahead',), 'n_frames': 135},
+    'leader 3, camera at 0.3 m': {'movers': ('leader_3',), 'camera_height': 0.3},
+    'leader 3, camera at 0.8 m': {'movers': ('leader_3',), 'camera_height': 0.8},
+    'leader 3, camera at 2.5 m': {'movers': ('leader_3',), 'camera_height': 2.5},
+    'leader 3, 10 Hz': {'movers': ('leader_3',), **CAR, 'n_frames': 37},
+    'leader 5, bare road': {'movers': ('leader_5',), 'houses': False, 'parked': 0},
+    'shadows': {'movers': (), 'houses': False, 'parked': 0, 'shadows': 25},
+    'parked close by': {'movers': (), 'parked': 6, 'parking': 3.0}}
+HAZARD_FRAMES = 111
 FLIGHTS = {'flight, wide lens': (WIDE, FlightSettings(n_frames=250)),
            'flight, fisheye': (FISHEYE, FlightSettings(n_frames=250, seed=1)),
            'flight, fast': (WIDE, FlightSettings(n_frames=150, seed=2, speed=4.0))}
@@ -159,6 +174,13 @@ def drives() -> list[Scene]:
     """Return the streets in which the camera does not simply drive ahead."""
     return [_street(kind, StreetSettings(seed=10 + seed, **settings))
             for seed, (kind, settings) in enumerate(DRIVES.items())]
+
+
+def hazards(count: int) -> list[Scene]:
+    """Return drives of different seeds toward what a planner must brake for, and what not."""
+    return [_street(f'{kind} {seed}', StreetSettings(
+                **{'seed': 30 + seed, 'n_frames': HAZARD_FRAMES, **settings}))
+            for (kind, settings), seed in product(HAZARDS.items(), range(count))]
 
 
 def flights() -> list[Scene]:

@@ -9,7 +9,14 @@ from typing import Any
 from mv_slapse import fields
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.evaluation import annotation as annotations
-from mv_slapse.evaluation import consistency, detection, planes, tracking, trajectory
+from mv_slapse.evaluation import (
+    consistency,
+    detection,
+    planes,
+    planner,
+    tracking,
+    trajectory,
+)
 from mv_slapse.evaluation.truth import LabelTable, read_arrays, read_labels, read_truth, Truth
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.records import SceneEstimate
@@ -85,6 +92,12 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None,
             read_covariances(out, stamp_offset))
         if truth.labels is not None:
             figures |= detection.block_figures(results.labels, truth.labels, truth.movers)
+    known = results.is_metric or truth.trajectory is not None
+    course = planner.Course(results.trajectory, scale if known else None)
+    if boxes is None and annotation is None:  # those tell of one vehicle among others
+        movers = truth.movers if labels is None else detection.point_boxes(
+            _read_points(results, labels, fps))
+        figures |= planner.figures(results.obstacles, results.labels.stamps, movers, course)
     if annotation is not None:
         figures |= annotations.figures(
             results.obstacles, int(results.labels.stamps.max(initial=0)), results.trajectory,
@@ -194,21 +207,28 @@ def _plane_figures(results: Results, truth: Truth, scale: float) -> dict[str, An
 
 def _label_figures(results: Results, labels: str | Path | None, boxes: str | Path | None,
                    fps: float | None) -> dict[str, Any]:
-    if labels is None and boxes is None:
-        return {}
-    fps = fps or results.summary.get('fps')
-    if not fps:
-        raise UsageError('the run does not say how many frames a second has; give --fps')
     figures = {}
     if labels is not None:
-        content = read_arrays(labels, ('tracks', 'visible', 'label'))
-        points = detection.PointLabels(content['tracks'], content['visible'].astype(bool),
-                                       content['label'], fps)
+        points = _read_points(results, labels, fps)
         figures |= detection.point_figures(results.labels, points)
     if boxes is not None:
         table = read_table(boxes, 'frame,x,y,width,height')
-        figures |= detection.box_figures(results.obstacles, results.labels.stamps, table, fps)
+        figures |= detection.box_figures(results.obstacles, results.labels.stamps, table,
+                                         _rate(results, fps))
     return figures
+
+
+def _read_points(results: Results, labels: str | Path, fps: float | None) -> detection.PointLabels:
+    content = read_arrays(labels, ('tracks', 'visible', 'label'))
+    return detection.PointLabels(content['tracks'], content['visible'].astype(bool),
+                                 content['label'], _rate(results, fps))
+
+
+def _rate(results: Results, fps: float | None) -> float:
+    fps = fps or results.summary.get('fps')
+    if not fps:
+        raise UsageError('the run does not say how many frames a second has; give --fps')
+    return fps
 
 
 def _read_annotation(path: str | Path) -> list[annotations.Vehicle]:

@@ -23,6 +23,7 @@ DATA = Path('../shared/data')
 CACHE = Path('out/cache')
 STREETS = 5
 STREET_FRAMES = 150
+HAZARDS = 1
 COLUMNS = {
     'poses': ('n_poses', '{:d}'), 'ATE [%]': ('ate_mean_percent', '{:.3f}'),
     'rigid [%]': ('ate_rigid_mean_percent', '{:.3f}'),
@@ -49,6 +50,12 @@ OBSTACLE_COLUMNS = {
     'its position [%]': ('annotated_position_error_percent', '{:.1f}'),
     'its velocity [m/s]': ('annotated_velocity_error_m_s', '{:.2f}')}
 
+PLANNER_COLUMNS = {
+    'hazards': ('hazards', '{:d}'), 'in time': ('hazards_in_time', '{:d}'),
+    'missed': ('hazards_missed', '{:d}'),
+    'contact when confirmed [s]': ('contact_at_confirmation_s', '{:.1f}'),
+    'false braking': ('false_braking_frames', '{:d}'), 'key frames': ('frames_judged', '{:d}')}
+
 
 def row(name: str, figures: dict[str, Any], columns: dict[str, tuple[str, str]] = COLUMNS) -> str:
     """Return one row of a table."""
@@ -72,7 +79,8 @@ def all_scenes(options: argparse.Namespace) -> list[Scene]:
     if data.is_dir():
         found = [*cases.given(data), *cases.cameraless(data), *cases.recoded(data),
                  *cases.lossy(data), *altered(data)]
-    found += [*cases.streets(options.streets, options.frames), *cases.drives(), *cases.flights()]
+    found += [*cases.streets(options.streets, options.frames), *cases.drives(),
+              *cases.hazards(options.hazards), *cases.flights()]
     return found
 
 
@@ -89,7 +97,8 @@ def workers_of(options: argparse.Namespace,
 
 def tell(name: str, figures: Figures):
     """Print the figures of a row."""
-    print(row(name, figures) + row('', figures, OBSTACLE_COLUMNS)[3:], file=sys.stderr, flush=True)
+    print(row(name, figures) + row('', figures, OBSTACLE_COLUMNS)[3:]
+          + row('', figures, PLANNER_COLUMNS)[3:], file=sys.stderr, flush=True)
 
 
 def add_options(parser: argparse.ArgumentParser):
@@ -97,6 +106,8 @@ def add_options(parser: argparse.ArgumentParser):
     parser.add_argument('--data', type=Path, default=DATA, help='folder of the sequences')
     parser.add_argument('--only', default='', help='only rows whose name holds this')
     parser.add_argument('--streets', type=int, default=STREETS, help='rendered streets')
+    parser.add_argument('--hazards', type=int, default=HAZARDS,
+                        help='rendered drives toward each kind of hazard')
     parser.add_argument('--frames', type=int, default=STREET_FRAMES, help='pictures of a street')
     parser.add_argument('--cache', type=Path, default=CACHE,
                         help='folder of what is rendered, encoded, decoded and measured; what is '

@@ -145,6 +145,18 @@ QUESTIONS = (
               _sum('id switches', 'identity_switches'),
               _median('false / frame', 'false_obstacles_per_frame', '{:.3f}')),
              'movers_due', _kind),
+    Question('Is what lies ahead told a planner in time, and nothing else?',
+             'Hazards: movers that the camera would meet if both went on as they do, within 1.2 m '
+             'of its way. In time: confirmed at a time to contact of 2 s or more, or within 0.5 s '
+             'of covering 12 macroblocks where that is later; missed: not at 1 s either. False '
+             'braking: key frames with a confirmed obstacle on the camera\'s way, less than 3 s '
+             'away, where nothing moves; where lengths are not known, on any way.',
+             (_sum('hazards', 'hazards'), _sum('in time', 'hazards_in_time'),
+              _sum('missed', 'hazards_missed'),
+              _median('contact when confirmed [s]', 'contact_at_confirmation_s', '{:.1f}'),
+              _sum('false braking', 'false_braking_frames'),
+              _sum('key frames', 'frames_judged')),
+             'frames_judged', _kind),
     Question('What does it cost?', 'CPU time of all stages for a frame of the video.',
              (_median('CPU [ms]', 'cpu_ms', '{:.1f}'), _worst('cpu_ms', '{:.1f}')),
              'cpu_ms', _kind))

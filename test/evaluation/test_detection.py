@@ -130,3 +130,14 @@ def test_confused_labels_are_counted_by_truth_and_call():
     table = block_figures(label)['label_confusion']
     n = (N - 1) * np.array([[1, 36, 5, 0], [0, 2, 6, 0], [0, 0, 0, 0]])
     assert table == n.tolist()
+
+
+def test_movers_have_boxes_around_their_visible_points():
+    tracks = np.array([[[10.0, 20], [12, 20]], [[30, 50], [32, 50]], [[5, 5], [6, 5]],
+                       [[90, 90], [91, 90]]])
+    visible = np.array([[1, 1], [1, 1], [1, 1], [0, 1]], bool)
+    found = detection.point_boxes(PointLabels(tracks, visible, np.array([2, 2, 1, 3]), 10.0))
+    np.testing.assert_array_equal(found['stamp'], [0, 100_000_000, 100_000_000])
+    np.testing.assert_array_equal(found['id'], [2, 2, 3])
+    np.testing.assert_array_equal(detection.boxes(found),
+                                  [[10, 20, 20, 30], [12, 20, 20, 30], [91, 90, 0, 0]])

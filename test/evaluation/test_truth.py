@@ -13,7 +13,7 @@ SCENE = {'planes': [{'id': 3, 'name': 'wall', 'normal': [0, 0, -1], 'depth': 9.0
 def folder(tmp_path):
     (tmp_path / 'ground_truth.tum').write_text('0 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0 1\n')
     (tmp_path / 'scene.json').write_text(json.dumps(SCENE))
-    (tmp_path / 'movers.csv').write_text(truth.MOVER_COLUMNS + '\n' + ','.join('1' * 14) + '\n')
+    (tmp_path / 'movers.csv').write_text(truth.MOVER_COLUMNS + '\n' + ','.join('1' * 17) + '\n')
     np.savez(tmp_path / 'truth_labels.npz', stamp=[0.0, 0.1], x=[7.5], y=[7.5],
              label=np.zeros((2, 1), np.int8), plane=np.full((2, 1), 3, np.int32))
     return tmp_path

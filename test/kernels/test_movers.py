@@ -1,10 +1,11 @@
 """The kernels of movers against their formulas in numpy, on drawn streets with wrong vectors."""
 
+import bodies_reference
 import movers_reference as reference
 from mv_slapse.geometry.camera import to_rays, UP
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import Depths
-from mv_slapse.movers import moving_plane, outlines, reference_depth, regions, score
+from mv_slapse.movers import body, moving_plane, outlines, reference_depth, regions, score
 from mv_slapse.movers.identity import History, Judged, LIFETIME, Memory
 from mv_slapse.movers.mask import vote
 from mv_slapse.movers.moving_plane import View
@@ -18,6 +19,13 @@ import pytest
 SIZE = 640, 480
 
 
+def foreseen(rng, n):
+    """Return inverse depths of n blocks and their errors, of some unknown."""
+    unknown = rng.uniform(size=n) < 0.2
+    return np.where(unknown[:, None], (0.0, np.inf),
+                    np.c_[rng.uniform(0, 0.3, n), rng.uniform(0.01, 0.1, n)])
+
+
 def drawn_pair(rng, stands=False):
     """Return the blocks of a street with movers, its camera and its ground."""
     street = Street(StreetSettings(seed=2, movers=('faster', 'oncoming'), n_frames=60))
@@ -28,7 +36,7 @@ def drawn_pair(rng, stands=False):
     departure = np.where(rng.uniform(size=n) < 0.1, rng.choice([5.0, -1.4], n), 0.0)
     pair = regions._Pair(
         *(np.ascontiguousarray(values, float) for values in (
-            found.x_cur, found.x_prev, found.block, found.sigma)), departure,
+            found.x_cur, found.x_prev, found.block, found.sigma)), departure, foreseen(rng, n),
         np.where(drawn.surface > 3, 7, -1).astype(np.int32), drawn.outlier)
     t = np.zeros(3) if stands else t / np.linalg.norm(t)
     view = View(street.camera.K, np.ascontiguousarray(R1.T @ R0), t)
@@ -50,6 +58,24 @@ def test_blocks_are_joined_as_by_the_formula(scene):
     assert len(alike.first) >= 3
     for own, other in zip(alike[len(pair):], expected, strict=True):
         np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-9)
+
+
+def test_bodies_are_those_of_the_formula(rng):
+    pair, view, ground = drawn_pair(rng)
+    alike = regions._Alike(*pair, *compiled.moving_regions(pair, view, ground, 1.0, 0.0,
+                                                           regions.RULES))
+    n, x, under = len(pair.x), pair.x, alike.under
+    rho = under * rng.normal(1, 0.1, n)
+    for left, foot, share in ((100, 330, 0.6), (300, 300, 0.4), (450, 400, 0.75)):
+        own = (x[:, 0] > left) & (x[:, 0] < left + 80) & (x[:, 1] < foot)
+        rho[own] = share * under[own].max() * rng.normal(1, 0.1, own.sum())
+    field = alike._replace(members=np.zeros(0, int), first=np.zeros(0, int), rho=rho,
+                           noise=0.1 * np.abs(under), fits=rng.uniform(size=n) < 0.9)
+    expected = bodies_reference.bodies(field, SIZE[0], body.RULES._replace(widest=2.0))
+    members, first = body.with_bodies(field, SIZE[0], 1.65)
+    assert len(expected) >= 2
+    for own, other in zip(reference.split(members, first), expected, strict=True):
+        np.testing.assert_array_equal(own, other)
 
 
 def test_no_blocks_are_no_regions(scene):
@@ -166,7 +192,7 @@ def test_departures_are_as_by_the_formula(rng):
 def test_macroblocks_are_labelled_by_area(rng):
     n = 3000
     x = rng.uniform(-20, 700, (n, 2))
-    pair = regions._Pair(x, x, rng.choice([8.0, 16.0], (n, 2)), np.ones(n), None, None, None)
+    pair = regions._Pair(x, x, rng.choice([8.0, 16.0], (n, 2)), np.ones(n), *[None] * 4)
     extraction = extraction_of(pair, planes=rng.integers(-1, 5, n))
     extraction.label[:] = rng.choice([*Label], n)
     for own, other in zip(vote(extraction, extraction.x_cur),

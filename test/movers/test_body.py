@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-from mv_slapse.movers.body import with_bodies
+from mv_slapse.movers.body import RULES, with_bodies
 import numpy as np
 import pytest
 
-SIZE = (640, 480)
+WIDTH, HEIGHT = 640, 1.65  # px, m
 HORIZON, SLOPE = 240.0, 8e-4  # row; inverse depth of the ground for each row below it [1/baseline]
 NOISE = 0.14  # of a block's inverse depth, as a share of the ground's there
 CAR, FOOT = (380.0, 448.0), 296.0  # columns and lowest row of a car [px]
@@ -23,9 +23,9 @@ class Field(NamedTuple):
     """What with_bodies reads of regions."""
 
     x: np.ndarray
-    block: np.ndarray
     rho: np.ndarray
     noise: np.ndarray
+    foreseen: np.ndarray
     under: np.ndarray
     below: np.ndarray
     fits: np.ndarray
@@ -33,7 +33,7 @@ class Field(NamedTuple):
     first: np.ndarray = np.zeros(0, int)
 
 
-def blocks(seed=0, car=NEARNESS, ground=1.0, noise=NOISE, size=16.0):
+def blocks(seed=0, car=NEARNESS, ground=1.0, noise=NOISE):
     """Return blocks of a ground, and of a car with a share of its inverse depth at the foot."""
     rng = np.random.default_rng(seed)
     rho = ground * UNDER
@@ -41,8 +41,8 @@ def blocks(seed=0, car=NEARNESS, ground=1.0, noise=NOISE, size=16.0):
         rho = np.where(ON_CAR, car * SLOPE * (FOOT - HORIZON), rho)
     sigma = noise * UNDER
     none = np.zeros(len(X), bool)
-    return Field(X, np.full(X.shape, size), rho + sigma * rng.standard_normal(len(X)), sigma,
-                 UNDER, none, ~none)
+    unknown = np.tile((0.0, np.inf), (len(X), 1))
+    return Field(X, rho + sigma * rng.standard_normal(len(X)), sigma, unknown, UNDER, none, ~none)
 
 
 def bodies(field):
@@ -54,7 +54,7 @@ def with_regions(regions, field):
     """Return the blocks of each region and body, given those of regions."""
     first = np.cumsum([0, *map(len, regions)])[:-1] if regions else np.zeros(0, int)
     members, first = with_bodies(field._replace(
-        members=np.concatenate([np.zeros(0, int), *regions]), first=first), SIZE)
+        members=np.concatenate([np.zeros(0, int), *regions]), first=first), WIDTH, HEIGHT)
     return np.split(members, first[1:]) if len(first) else []
 
 
@@ -95,10 +95,9 @@ def test_a_body_is_bounded_by_its_depth_not_by_what_is_wrong():
     assert not np.any(wrong[largest])
 
 
-@pytest.mark.parametrize('size', [8.0, 16.0])
-def test_one_vector_makes_no_body_however_large_its_block(size):
+def test_one_vector_makes_no_body():
     one = np.flatnonzero(HIDING)[:1]
-    given = Field(*(values[one] for values in blocks(0, noise=0.01, size=size)[:7]))
+    given = Field(*(values[one] for values in blocks(0, noise=0.01)[:7]))
     assert is_alone(given).all()
     assert not bodies(given)
 
@@ -107,17 +106,41 @@ def test_no_blocks_make_no_body():
     assert bodies(Field(*(values[:0] for values in blocks()[:7]))) == []
 
 
-def test_a_body_takes_a_region_that_looks_farther_and_leaves_others_alone():
+def test_a_body_takes_the_blocks_of_regions_that_look_as_far():
     given = blocks(0)
     below = np.zeros(len(X), bool)
     fragment = np.flatnonzero(HIDING & (X[:, 1] > FOOT - 16))
     below[fragment] = True
-    other = np.flatnonzero(HIDING & (X[:, 0] < CAR[0] + 16))
-    regions = with_regions([other, fragment], given._replace(below=below))
-    assert np.array_equal(regions[0], other)
-    largest = max(regions[1:], key=len)
+    part = np.flatnonzero(HIDING & (X[:, 0] < CAR[0] + 16))
+    apart = np.flatnonzero(X[:, 0] < 60)[:6]
+    regions = with_regions([part, apart, fragment], given._replace(below=below))
+    assert any(np.array_equal(region, apart) for region in regions)
+    largest = max(regions, key=len)
     assert len(largest) > len(fragment)
-    assert not np.any(np.isin(other, np.concatenate(regions[1:])))
+    assert sum(np.isin(largest, region).any() for region in regions) == 1
+
+
+def test_blocks_make_a_body_that_the_pairs_before_foresaw():
+    given = blocks(0, noise=0.7)
+    foreseen = np.where(ON_CAR, NEARNESS * SLOPE * (FOOT - HORIZON), UNDER)
+    sure = given._replace(foreseen=np.c_[foreseen, 0.1 * UNDER])
+    shares = [max((np.mean(np.isin(np.flatnonzero(HIDING), body)) for body in bodies(field)),
+                  default=0.0) for field in (given, sure)]
+    assert shares[0] < 0.2
+    assert shares[1] > 0.6
+
+
+def test_a_vector_that_contradicts_what_was_foreseen_makes_none():
+    given = blocks(0)
+    assert not bodies(given._replace(foreseen=np.c_[UNDER, 0.1 * UNDER]))
+
+
+def test_no_body_is_wider_than_a_vehicle():
+    given = blocks(0)
+    rows = (X[:, 1] < FOOT) & (X[:, 1] > HORIZON + 1.4 * NEARNESS * (FOOT - HORIZON))
+    given.rho[rows] = NEARNESS * SLOPE * (FOOT - HORIZON)
+    for body in bodies(given):
+        assert np.ptp(X[body, 0]) < RULES.widest / HEIGHT * (FOOT - HORIZON)
 
 
 def test_what_surrounds_a_larger_region_is_none_by_itself():

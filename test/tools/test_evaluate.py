@@ -101,7 +101,7 @@ def data(tmp_path):
 def test_clips_with_known_movers_come_altered_too(data, tmp_path):
     folder = (data / 'kitti00').rename(data / 'clip')
     (folder / 'boxes.csv').write_text('frame,x,y,width,height\n1,10,10,20,20\n')
-    options = SimpleNamespace(data=data, streets=0, frames=0)
+    options = SimpleNamespace(data=data, streets=0, frames=0, hazards=0)
     names = [case.name for scene in evaluate.all_scenes(options)
              for case in scene.make(tmp_path, 'clip, cut/mpeg2')]
     assert names == ['clip, cut/mpeg2.mp4']
