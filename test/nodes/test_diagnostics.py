@@ -13,7 +13,7 @@ import made_up  # noqa: E402
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
 from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
-from mv_slapse.nodes import decoding, health, latency, qos, shell  # noqa: E402
+from mv_slapse.nodes import decoding, health, latency, numbering, qos, shell  # noqa: E402
 from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402
 from mv_slapse.nodes.conversions import camera_from_msg, to_message  # noqa: E402
 from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
@@ -53,6 +53,7 @@ def impatient(monkeypatch):
     """Let silence be told after a short time, so that no test waits for it."""
     for module in (health, decoding, latency, shell):
         monkeypatch.setattr(module, 'SILENCE', 0.8)
+    monkeypatch.setattr(numbering, 'WAIT', 0.2)  # or it would be silent while pairs wait
 
 
 def state(node):
