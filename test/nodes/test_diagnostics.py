@@ -43,8 +43,7 @@ from nodes.video import Video  # noqa: E402
 EMPTY = np.zeros(0, np.uint8)
 FRAMES = RosFrames(camera='cam')
 VIDEO_NODES = pytest.mark.parametrize('node_type', [DecoderNode, AllInOneNode])
-LEVELS = {Kind.FAILED: b'\x02', Kind.WAITING: b'\x01', Kind.DEGRADED: b'\x01',
-          Kind.WORKING: b'\x00'}
+LEVELS = dict(zip(Kind, (b'\x02', b'\x01', b'\x01', b'\x00'), strict=True))
 REACHED = set()
 
 
