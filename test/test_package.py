@@ -148,9 +148,9 @@ def test_a_wheel_holds_the_kernels(tmp_path):
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, target)
     # by way of the archive of sources, as a user gets it
-    build = ('import os, sys, tarfile, setuptools.build_meta as b; out = sys.argv[1]; '
+    build = ('import os, shutil, sys, setuptools.build_meta as b; out = sys.argv[1]; '
              'os.chdir(out + "/source"); name = b.build_sdist(out); os.chdir(out); '
-             'tarfile.open(name).extractall(filter="data"); '
+             'shutil.unpack_archive(name); '
              'os.chdir(name.removesuffix(".tar.gz")); b.build_wheel(out)')
     done = subprocess.run([sys.executable, '-c', build, tmp_path], cwd=tmp_path,
                           capture_output=True, text=True)
