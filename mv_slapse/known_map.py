@@ -27,6 +27,7 @@ APART = 5.0  # [m] beyond its outline in which a plane may go on
 WALLS = 3  # two tell the place, and nothing would tell another corner from it
 TOLD = 0.5  # by which the planes must shrink the start's standard deviation in every direction
 ROUNDS = 5
+PERIOD = 1_000_000_000  # [ns] between two looks: the map of a run changes slowly
 LEAST = 1e-6  # [m^2], [rad^2] of a start that somebody calls exact
 
 
@@ -56,6 +57,11 @@ class Placing:
     known_from_world: Pose | None
     matches: tuple[tuple[int, int], ...] = ()
     reason: str = ''
+
+    @property
+    def position_sigma(self) -> float:
+        """Return the standard deviation of the position found [map unit]."""
+        return float(np.sqrt(np.trace(self.known_from_world.covariance[:3, :3])))
 
 
 @dataclass(frozen=True)

@@ -63,8 +63,7 @@ class AllInOneNode(Shell):
     def go_on(self):
         """Begin a new map where the last pose was."""
         self._placement.go_on()
-        self.resets += 1
-        self.health.value('resets', self.resets)
+        self.count_reset()
         self.health.restarted()
         self._renew()
 

@@ -2,15 +2,13 @@
 
 from mv_slapse.errors import MvSlapseError, UsageError
 from mv_slapse.geometry.ros_frames import RosFrames
-from mv_slapse.known_map import KnownMap, place
+from mv_slapse.known_map import KnownMap, PERIOD, place
 from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.settings import SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import SceneEstimate, TrackingStatus
-import numpy as np
 from std_srvs.srv import Trigger
 
-PERIOD = 1_000_000_000  # [ns] between two looks
 MISSING = 'map_file is not set; set it to the map.json of an earlier run'
 
 
@@ -47,10 +45,10 @@ class KnownPlace:
             return frames
         self._is_found = True
         self._placement.begin_at(placing.known_from_world, frames)
-        sigma = float(np.sqrt(np.trace(placing.known_from_world.covariance[:3, :3])))
         node = self._node
-        node.resets += 1
-        said = f'found again by {len(placing.matches)} planes, within {sigma:.2f} m'
+        node.count_reset()
+        said = (f'found again by {len(placing.matches)} planes, within '
+                f'{placing.position_sigma:.2f} m')
         node.get_logger().info(f'the known map is {said}; poses are in its frame from now on')
         node.health.value('known map', said)
         node.health.leave('unplaced')

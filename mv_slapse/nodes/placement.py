@@ -88,8 +88,7 @@ class Placement:
             raise InvalidMessage(f'header.frame_id = {msg.header.frame_id!r}: must be {odom!r}; '
                                  'the pose is not used')
         self.set(fields.pose_with_covariance_from_message(msg))
-        self._node.resets += 1
-        self._node.health.value('resets', self._node.resets)
+        self._node.count_reset()
         self._node.get_logger().info(f'the pose is set to {self._anchor.t.round(3).tolist()}')
 
 

@@ -67,10 +67,14 @@ class Shell(Node):
         """Restart, count it, and say why."""
         if reason:
             self.get_logger().warning(f'{reason}: starting anew')
-        self.resets += 1
-        self.health.value('resets', self.resets)
+        self.count_reset()
         self.health.restarted()
         self.restart()
+
+    def count_reset(self):
+        """Count that a trajectory begins anew, or elsewhere, and tell the count."""
+        self.resets += 1
+        self.health.value('resets', self.resets)
 
     def guarded(self, topic: str, message_type: type, callback: Callable[[Any], None],
                 proves: bool = False) -> Callable[..., None]:

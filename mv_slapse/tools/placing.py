@@ -5,14 +5,13 @@ from typing import Any
 
 from mv_slapse.frame_change import step_in
 from mv_slapse.geometry.ros_frames import Pose
-from mv_slapse.known_map import about, place
+from mv_slapse.known_map import about, PERIOD, place
 from mv_slapse.pipeline import Step
 from mv_slapse.records import TrackingStatus
 from mv_slapse.storage.archives import read_map
 import numpy as np
 
 WAIT = 15_000_000_000  # [ns] of the video until the run goes on in a frame of its own
-PERIOD = 1_000_000_000  # [ns] between two looks
 
 
 class Placing:
@@ -71,8 +70,8 @@ class Placing:
         if pose is None:
             return
         self._is_decided, self.origin = True, pose
-        sigma = float(np.sqrt(np.trace(pose.covariance[:3, :3])))
-        self._told.update(found=True, stamp=step.scene.stamp / 1e9, position_sigma_m=sigma,
+        self._told.update(found=True, stamp=step.scene.stamp / 1e9,
+                          position_sigma_m=placing.position_sigma,
                           planes=[list(pair) for pair in placing.matches],
                           position=pose.t.tolist())
 
