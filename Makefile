@@ -87,7 +87,7 @@ bench: setup ## measure the speed of each stage
 evaluate: setup ## run every sequence in ../shared/data and write docs/results.md
 	@$(RUN) python -m mv_slapse.tools.evaluate $(ARGS)
 
-compare: setup ## run the papers as printed and others beside the package, and write docs/comparison.md
+compare: $(READY) ## run the papers as printed and others beside the package, and write docs/comparison.md
 	@$(RUN) python benchmarks/compare.py $(ARGS)
 
 # The long tests; what they last gave stands in docs/reliability.md.

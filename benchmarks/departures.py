@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 import tempfile
-from typing import Any
+from typing import Any, NamedTuple
 
 from mv_slapse.codec.encoding.encoder import encode, Encoding
 from mv_slapse.codec.evidence import collect
@@ -237,26 +237,109 @@ def _family(view: View, R, t, size) -> float:
     return float(np.ptp(sums) / sums[1])
 
 
+def starting() -> Rows:
+    """Which blocks of a car that starts ahead are called moving, second by second."""
+    shares: dict[int, list[tuple[float, ...]]] = {0: [], 1: []}
+    for seed in range(SEEDS):
+        street = _street(seed, movers=('starting',), n_frames=121)
+        rng, car, since = np.random.default_rng(seed), street.movers[0], 0
+        truths = [drawn.draw(street, i, i + GAP, rng, 0.25, 0.1) for i in range(0, 117, GAP)]
+        pairs = [truth.correspondences for truth in truths]
+        printed, slapse = pipelines.run(pipelines.Mvo, street.camera, pairs), Slapse(
+            street.camera, Settings())
+        for k, truth in enumerate(truths):
+            ours = slapse.step(pairs[k]).extraction.macroblock_label
+            on = truth.surface == car.id
+            since += car.is_moving(pairs[k].stamp * 1e-9)
+            if since and on.sum() >= 6:
+                cell = grid_index(pairs[k].x_cur, street.camera.width, street.camera.height)[on]
+                shares[min(since * GAP // 30, 1)].append(tuple(
+                    np.mean(labels[cell] == Label.MOVING)
+                    for labels in (printed.blocks[k], printed.labels[k], ours)))
+    means = [100 * np.mean(shares[second], axis=0) for second in (0, 1)]
+    shown = [', '.join(f'{mean[k]:.0f}' for mean in means) for k in range(3)]
+    return [('blocks of a car that starts ahead called moving in the first second and later [%], '
+             'drawn streets; printed: Definition 1, Definition 2', '; '.join(shown[:2]), shown[2])]
+
+
 def rest() -> Rows:
     """Two seconds of standstill in a drawn street: how far the pose walks."""
     street = _street(1, standstill=(1.0, 3.0), n_frames=121, movers=())
     rng = np.random.default_rng(0)
-    pairs = [drawn.draw_pair(street, i, i + GAP, rng, 0.25, 0.1) for i in range(0, 120, GAP)]
-    stops, ends = street.stamp(32), street.stamp(88)
-    walked, slapse = [], Slapse(street.camera, Settings())
-    steps = [slapse.step(pair).scene for pair in pairs]
-    for stamps, places in [
-            *(([pose[0] for pose in found.poses], [pose[2] for pose in found.poses])
-              for found in (pipelines.run(kind, street.camera, pairs)
-                            for kind in (pipelines.Slapse, pipelines.Mvo))),
-            ([one.stamp for one in steps], [one.t_world_from_cam for one in steps])]:
-        stamps, places = np.array(stamps), np.array(places)
-        first = np.linalg.norm(places[1 if stamps[0] == 0 else 0])  # of the way, by the unit
-        true = np.linalg.norm(street.pose(GAP)[1])
-        at_rest = places[(stamps >= stops) & (stamps <= ends)] * true / max(first, 1e-9)
+    walked = []
+    for way in _ways(street, [drawn.draw_pair(street, i, i + GAP, rng, 0.25, 0.1)
+                              for i in range(0, 120, GAP)], 8):
+        at_rest = way.places[(way.stamps >= street.stamp(32)) & (way.stamps <= street.stamp(88))]
         walked.append(np.linalg.norm(at_rest - at_rest[0], axis=1).max())
     return [('farthest from where the camera stopped, 2 s of a drawn standstill [m]',
              f'{walked[0]:.2f} [SLAPSE], {walked[1]:.2f} [MVO]', f'{walked[2]:.3f}')]
+
+
+def loss() -> Rows:
+    """Two seconds without a vector: how far off the pose is afterwards, and how far it says."""
+    rows = []
+    for what, turn in (('straight', 0.0), ('in a turn of 60 deg', 60.0)):
+        errors, sigmas = [], []
+        for seed in range(SEEDS // 2):
+            street = _street(seed, movers=(), n_frames=181, turn=turn, speed=8.0)
+            rng = np.random.default_rng(seed)
+            ways = _ways(street, [drawn.draw_pair(street, i, i + GAP, rng, 0.25, 0.1)
+                                  for i in range(0, 180, GAP) if not 60 <= i < 120], 15)[1:]
+            errors.append([np.linalg.norm(way.places[-1] - street.pose(180)[1]) for way in ways])
+            sigmas.append([way.sigma for way in ways])
+        shown = zip(np.median(errors, 0), np.median(sigmas, 0), strict=True)
+        rows.append((f'place 2 s after 2 s without a vector at 8 m/s, {what}: error and its '
+                     'standard deviation as told [m]; printed: [MVO]',
+                     *(f'{error:.1f}, {sigma:.2f}' for error, sigma in shown)))
+    return rows
+
+
+def returning() -> Rows:
+    """Forth and back in a drawn street, always looking ahead: planes are lost and come back."""
+    steps = [GAP] * 25 + [3, 2, 1, -1, -2, -3] + [-GAP] * 25
+    frames, found = np.cumsum([0, *steps]), []
+    for seed in range(SEEDS // 2):
+        street, rng = _street(seed, movers=(), n_frames=110), np.random.default_rng(seed)
+        pairs = [replace(drawn.draw_pair(street, i, j, rng, 0.25, 0.1),
+                         stamp=street.stamp(GAP * (k + 1)), previous_stamp=street.stamp(GAP * k))
+                 for k, (i, j) in enumerate(zip(frames[:-1], frames[1:], strict=True))]
+        ways = _ways(street, pairs, 25)
+        found.append([(np.linalg.norm(way.places[-1]), way.n_planes) for way in (
+            ways[0], ways[2])])
+    return [('error at the end of 35 m forth and back, drawn streets [m], and numbers given to '
+             'planes; printed: [SLAPSE]', *(f'{error:.2f}, {n:.0f}'
+                                            for error, n in np.median(found, 0)))]
+
+
+class _Way(NamedTuple):
+    """Stamps (N,), places (N, 3) [m], sigma of the last [m], and how many planes there were."""
+
+    stamps: np.ndarray
+    places: np.ndarray
+    sigma: float
+    n_planes: int
+
+
+def _ways(street: Street, pairs, n: int) -> list[_Way]:
+    """Return the ways of [SLAPSE], [MVO] and the package; the first n steps tell the scale."""
+    slapse, fps = Slapse(street.camera, Settings()), street.settings.fps
+    scenes = [slapse.step(pair).scene for pair in pairs]
+    places = [[street.pose(round(stamp * 1e-9 * fps))[1] for stamp in (
+        pair.previous_stamp, pair.stamp)] for pair in pairs[1:n]]
+    true = sum(np.linalg.norm(b - a) for a, b in places)
+
+    def way(stamps, places, P, planes):
+        scale = true / np.linalg.norm(np.diff(places[:n], axis=0), axis=1).sum()
+        return _Way(np.array(stamps), scale * np.array(places),
+                    scale * np.sqrt(np.trace(P[:3, :3])), len(set(planes)))
+
+    printed = [pipelines.run(kind, street.camera, pairs)
+               for kind in (pipelines.Slapse, pipelines.Mvo)]
+    return [*(way([pose[0] for pose in one.poses[1:]], [pose[2] for pose in one.poses[1:]],
+                  one.covariances.get(pairs[-1].stamp, np.full((6, 6), np.nan)),
+                  [row[1] for row in one.planes]) for one in printed),
+            way([one.stamp for one in scenes], [one.t_world_from_cam for one in scenes],
+                scenes[-1].pose_covariance, [plane.id for one in scenes for plane in one.planes])]
 
 
 def _street(seed: int, **settings: Any) -> Street:
@@ -280,7 +363,8 @@ def _motion(street: Street, i: int, j: int):
 #: what is measured, under the paragraph of docs/papers.md that tells why
 DRAWN: dict[str, tuple[Callable[[], Rows], ...]] = {
     'Vectors': (variances, merging), 'Camera motion': (camera_motion,),
-    'Moving planes': (moving_planes,), 'Gauge': (gauge,), 'Rests': (rest,)}
+    'Moving planes': (moving_planes, starting), 'Gauge': (gauge,), 'Loss': (loss,),
+    'Planes that come back': (returning,), 'Rests': (rest,)}
 
 
 def jobs(data: Path) -> Iterator[tuple[tuple, Callable, tuple]]:

@@ -36,12 +36,16 @@ def cloud_to_fields(stamp: int, obstacles: Sequence[Obstacle], frames: RosFrames
 
 def polygons_to_fields(stamp: int, obstacles: Sequence[Obstacle], frames: RosFrames,
                        depth: float = DEPTH) -> list[Fields]:
-    """Return a geometry_msgs/PolygonInstanceStamped of what each obstacle covers on the ground."""
+    """Return a geometry_msgs/PolygonInstanceStamped of what each obstacle covers on the ground.
+
+    At the height of its lowest point.
+    """
     found = []
     for obstacle in obstacles:
         if len(obstacle.outline) > 2:
-            corners = footprint(points_to_odom(obstacle.outline, frames), depth)
-            points = [{'x': x, 'y': y, 'z': 0.0} for x, y in corners.tolist()]
+            outline = points_to_odom(obstacle.outline, frames)
+            points = [{'x': x, 'y': y, 'z': float(outline[:, 2].min())}
+                      for x, y in footprint(outline, depth).tolist()]
             found.append({'header': header(stamp, frames.odom), 'polygon': {
                 'polygon': {'points': points}, 'id': int(obstacle.id)}})
     return found

@@ -35,6 +35,7 @@ BELOW = {
     'drawing': LOW,
     'frame_change': LOW,
     'known_map': LOW,
+    'level': {*LOW, 'fields', 'field_values', 'message_checks'},
     'codec': LOW,
     'motion': LOW,
     'surfaces': {*LOW, 'motion'},
@@ -48,10 +49,10 @@ BELOW = {
     'batch': {*LOW, 'evaluation', 'storage', 'tools'},
     'states': set(),
     'step_diagnostics': {*LOW, 'field_values', 'states'},
-    'storage': {*LOW, 'codec', 'fields', 'known_map', 'picture_size', 'planner_fields',
-                'step_diagnostics', 'video_messages', 'view_fields'},
+    'storage': {*LOW, 'codec', 'fields', 'known_map', 'level', 'picture_size',
+                'planner_fields', 'step_diagnostics', 'video_messages', 'view_fields'},
     'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'drawing', 'fields', 'field_values',
-              'frame_change', 'known_map', 'message_checks', 'planner_fields', 'states',
+              'frame_change', 'known_map', 'level', 'message_checks', 'planner_fields', 'states',
               'video_messages', 'view_fields'},
 }
 

@@ -84,7 +84,29 @@ def test_every_topic_that_a_node_publishes_is_in_the_table():
 
 
 def refusals() -> list[str]:
-    return re.findall(r'^\| `([^`|]+)`', REFUSALS, re.M)
+    cells = re.findall(r'^\| (`[^|]+) \|', REFUSALS, re.M)
+    return [quoted for cell in cells for quoted in re.findall('`([^`]+)`', cell)
+            if quoted != 'make']
+
+
+def text_of(node: ast.expr) -> str | None:
+    """Return the text that an expression makes, a FIELD for what differs; None of another."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return ''.join(part.value if isinstance(part, ast.Constant) else FIELD
+                       for part in node.values)
+    return None
+
+
+def errors() -> list[str]:
+    """Return what the errors of this package say, but for those that only hand others on."""
+    kinds = {'UsageError', 'UnusableInput', 'UnusableOutput', 'InvalidMessage', 'MissingKernels'}
+    trees = [ast.parse(path.read_text(encoding='utf-8'))
+             for path in (ROOT / 'mv_slapse').rglob('*.py')]
+    said = [text_of(node.args[0]) for tree in trees for node in ast.walk(tree)
+            if isinstance(node, ast.Call) and getattr(node.func, 'id', '') in kinds and node.args]
+    return sorted({text for text in said if text and len(re.findall('[a-z]', text)) > 8})
 
 
 @pytest.fixture(scope='module')
@@ -100,13 +122,23 @@ def messages() -> str:
     return '\n'.join([*texts, (ROOT / '.setup' / 'environment.sh').read_text()])
 
 
+def pattern_of(quoted: str) -> str:
+    pieces = re.split(r"…|\bN\b|'omni'|\bhevc\b|\d+x\d+|0\.0", quoted)
+    return '.*'.join(re.escape(piece.strip()) for piece in pieces if len(piece.strip()) > 1)
+
+
 @pytest.mark.parametrize('quoted', refusals())
 def test_every_refusal_quoted_is_one_the_code_makes(messages, quoted):
-    pieces = re.split(r"…|\bN\b|'omni'|\bhevc\b|\d+x\d+|0\.0", quoted)
-    pieces = [piece.strip() for piece in pieces if len(piece.strip()) > 1]
-    assert pieces
-    pattern = '.*'.join(map(re.escape, pieces))
+    pattern = pattern_of(quoted)
+    assert pattern
     assert re.search(pattern, messages), pattern
+
+
+@pytest.mark.parametrize('said', errors())
+def test_every_error_has_an_entry_among_the_refusals(said):
+    patterns = [pattern_of(quoted) for quoted in refusals()]
+    assert any(pattern and len(pattern) > 8 and re.search(pattern, said, re.S)
+               for pattern in patterns)
 
 
 def test_the_picture_is_small():

@@ -1,9 +1,10 @@
-"""What config/ has for RViz and Foxglove names topics that there are."""
+"""What config/ has for RViz, Foxglove and robot_localization fits what the nodes publish."""
 
 import json
 from pathlib import Path
 import re
 
+from mv_slapse.nodes.settings import FrameSettings
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -51,3 +52,18 @@ def test_the_topics_of_rviz_exist():
     displays = content['Visualization Manager']['Displays']
     shown = {f'/{item["Topic"]["Value"].lstrip("/")}' for item in displays if 'Topic' in item}
     assert {'/planes/map_markers', '/obstacles/markers', '/image_overlay'} <= shown <= TOPICS
+
+
+def test_robot_localization_is_told_of_our_topics_and_frames():
+    settings = yaml.safe_load((ROOT / 'config' / 'robot_localization.yaml').read_text())
+    given, frames = settings['/**']['ros__parameters'], FrameSettings()
+    assert (given['odom_frame'], given['base_link_frame'], given['world_frame']) == (
+        frames.odom_frame, frames.base_frame, frames.odom_frame)
+    assert {f'/{given["odom0"]}', f'/{given["odom1"]}'} <= TOPICS
+    configs = {name: row for name, row in given.items() if name.endswith('_config')}
+    assert set(configs) == {'odom0_config', 'odom1_config', 'imu0_config'}
+    for row in configs.values():
+        assert len(row) == 15
+        assert all(isinstance(value, bool) for value in row)
+    # pose and twist of one filter are not independent: only one of them may be fused
+    assert not any(given['odom0_config'][6:])

@@ -1,4 +1,4 @@
-"""The extended Kalman filters of [SLAPSE] VI and [MVO] 5, with numerical Jacobians.
+"""The scene's extended Kalman filters of [SLAPSE] VI and [MVO] 5, with numerical Jacobians.
 
 The papers give no process noise; what is chosen here stands in `RATES`. Stamps are in seconds, the
 unit of length is the first baseline, as in [SLAPSE] VII-B.
@@ -53,11 +53,14 @@ class Kalman:
 
     def update(self, residual, information: np.ndarray):
         """Take in residuals (M,), a function of the state, with information (M,) or (M, M)."""
-        H = -jacobian(residual, self.x)
+        self.correct(residual(self.x), -jacobian(residual, self.x), information)
+
+    def correct(self, off: np.ndarray, H: np.ndarray, information: np.ndarray):
+        """Take in residuals (M,) of an observation whose derivative by the state is H (M, N)."""
         weighed = information[:, None] * H if information.ndim == 1 else information @ H
         self.P = np.linalg.solve(np.eye(len(self.x)) + self.P @ (H.T @ weighed), self.P)
         self.P = 0.5 * (self.P + self.P.T)
-        self.x = self.x + self.P @ (weighed.T @ residual(self.x))
+        self.x = self.x + self.P @ (weighed.T @ off)
 
 
 class PlaneFilter(Kalman):

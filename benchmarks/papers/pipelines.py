@@ -4,7 +4,8 @@ Before the first motion there is nothing to show. Where a pair tells no motion t
 and planes that are not found in it are deleted, as VI-C of [SLAPSE] says.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from mv_slapse.config import DecoderSettings, Settings
@@ -14,7 +15,7 @@ from mv_slapse.geometry.camera import Camera, to_pixels, to_rays, undistort
 from mv_slapse.records import Correspondences, Label
 import numpy as np
 
-from papers import filters, two_views
+from papers import filters, obstacles, two_views
 from papers.two_views import Thresholds, View
 
 # Pairs of key frames as [SLAPSE] V-A has them: none is chained, split or bridged by a search, and
@@ -27,6 +28,9 @@ SETTINGS = Settings(decoder=DECODER)
 # departs by more than this share of itself begins anew. Without it `kitti00` errs by 8 %.
 VERIFIED = 0.3
 BOUNDS = Thresholds()
+STILL = 0.1  # share of the camera's speed, "close to zero" of an obstacle's, section 5 of [MVO]
+TOLD = 6  # blocks of a mover, at least, where somebody told which those are
+OBSTACLE = ('stamp', 'id', 'x', 'y', 'width', 'height', 'px', 'py', 'pz', 'vx', 'vy', 'vz', 'ttc')
 
 
 @dataclass
@@ -45,6 +49,9 @@ class Found:
         Labels by Definition 1 alone; of [MVO] only.
     covariances : dict of (6, 6) arrays
         Of (position, rotation about the axes of {W}) by stamp; of [MVO] only.
+    obstacles : list of OBSTACLE
+        Of each moving plane: the box of its blocks [px], where the ray of its middle meets the
+        plane and the velocity, in {W} [first baselines, per second], time to contact [s].
     """
 
     poses: list = field(default_factory=list)
@@ -54,14 +61,17 @@ class Found:
     numbers: list = field(default_factory=list)
     blocks: list = field(default_factory=list)
     covariances: dict = field(default_factory=dict)
+    obstacles: list = field(default_factory=list)
     size: tuple[int, int] = (0, 0)
 
     def plane_table(self) -> dict[str, np.ndarray]:
         """Return the planes as columns of a planes.csv."""
-        columns = np.array(self.planes, object).reshape(-1, 7).T
-        names = ('stamp', 'id', 'nx', 'ny', 'nz', 'd', 'n_macroblocks')
-        return {name: column.astype(np.int64 if name in ('stamp', 'id') else float)
-                for name, column in zip(names, columns, strict=True)}
+        return _table(('stamp', 'id', 'nx', 'ny', 'nz', 'd', 'n_macroblocks'), self.planes)
+
+    def obstacle_table(self) -> dict[str, np.ndarray]:
+        """Return the obstacles as columns of an obstacles.csv; the print confirms none later."""
+        table = _table(OBSTACLE, self.obstacles)
+        return table | {'state': np.full(len(table['stamp']), 'confirmed')}
 
     def label_table(self, by_block: bool = False) -> LabelTable:
         """Return the labels of macroblocks, of planes or of each block by itself."""
@@ -71,6 +81,12 @@ class Found:
         return LabelTable(np.array(self.stamps, np.int64), *centres.T, labels, numbers)
 
 
+def _table(names, rows):
+    columns = np.array(rows, object).reshape(-1, len(names)).T
+    return {name: column.astype(np.int64 if name in ('stamp', 'id') else float)
+            for name, column in zip(names, columns, strict=True)}
+
+
 class Pair(NamedTuple):
     """A pair of key frames as both pipelines take it."""
 
@@ -78,6 +94,7 @@ class Pair(NamedTuple):
     sigma: np.ndarray
     cell: np.ndarray
     dt: float
+    stamp: int
 
 
 class Pipeline:
@@ -126,7 +143,8 @@ class Pipeline:
     def _read(self, c: Correspondences) -> Pair:
         x_cur, x_prev = (undistort(self.camera, x) for x in (c.x_cur, c.x_prev))
         return Pair(View(x_cur, x_prev, self.camera.K), np.asarray(c.sigma, float),
-                    grid_index(c.x_cur, c.width, c.height), (c.stamp - c.previous_stamp) * 1e-9)
+                    grid_index(c.x_cur, c.width, c.height), (c.stamp - c.previous_stamp) * 1e-9,
+                    c.stamp)
 
     def _motion(self, view: View):
         """Return the first estimate of the motion, R_cur_from_prev and t; None without any."""
@@ -204,6 +222,11 @@ class Mvo(Pipeline):
 
     FILTER = filters.Mvo
 
+    def __init__(self, camera: Camera, bounds: Thresholds = BOUNDS):
+        """Start without a motion."""
+        super().__init__(camera, bounds)
+        self._obstacles: dict[int, obstacles.Obstacle] = {}
+
     def _motion(self, view: View):
         F, inlier = two_views.eight_points(view, self.bounds.f, self._rng)
         if F is None or inlier.sum() < 16:
@@ -222,13 +245,14 @@ class Mvo(Pipeline):
                 row[found[1]] = len(numbers)
                 numbers.append(int(id_))
                 planes.append(found[0])
-        self._joined(pair, still, row, numbers,
-                     two_views.Joint(R, t, np.array(planes).reshape(-1, 3), np.zeros((0, 0))))
+        found = self._joined(pair, still, row, numbers, two_views.Joint(
+            R, t, np.array(planes).reshape(-1, 3), np.zeros((0, 0))))
+        self._follow(pair, found, self._movers(pair, np.where(moving, plane, -1)))
         self._label(pair, still, plane, moving, two_views.at_infinity(view, R, bounds.m))
         return plane
 
     def _joined(self, pair, still, row, numbers, start):
-        """Estimate motion and planes together, (10), and hand them to the filter."""
+        """Estimate motion and planes together, (10), hand them to the filter and return them."""
         sigma = float(np.median(pair.sigma))
         scene, found = self.scene, two_views.joint(pair.view, still, row, start, sigma)
         scene.keep(numbers)
@@ -238,6 +262,7 @@ class Mvo(Pipeline):
             if id_ not in scene.ids:
                 scene.add_in_camera(id_, plane / baseline)
         scene.observe(found, numbers)
+        return found
 
     def _verified(self, found, baseline) -> list[int]:
         """Return the planes of the filter that are where it expects them, of those found again.
@@ -250,6 +275,35 @@ class Mvo(Pipeline):
                 if np.linalg.norm(found[id_] - plane) < VERIFIED * np.linalg.norm(found[id_])]
         return good or list(expected)
 
+    def _movers(self, pair: Pair, plane: np.ndarray) -> np.ndarray:
+        """Return the mover (N,) of each match, -1 for none; ``plane`` (N,) is its moving plane."""
+        return plane
+
+    def _follow(self, pair: Pair, motion: two_views.Joint, mover: np.ndarray):
+        """Take each moving plane to its filter, (12) to (16).
+
+        One that is not found is deleted, one that stands still handed to the scene's filter.
+        """
+        (R, t), velocity = self.scene.advance(), self.scene.x[-3:].copy()
+        speed, road = np.linalg.norm(velocity), obstacles.road_of(self.scene.in_camera())
+        baseline, sigma = np.linalg.norm(self.scene.motion[1]), float(np.median(pair.sigma))
+        before, self._obstacles = self._obstacles, {}
+        for id_ in np.unique(mover[mover >= 0]):
+            seen, one = pair.view.of(mover == id_), before.get(id_)
+            found = obstacles.observed(seen, motion.R, baseline * motion.t, road, sigma,
+                                       self.bounds.tilt)
+            if one is None:
+                one = obstacles.Obstacle(found, R, t, pair.dt, speed)
+            else:
+                one.step(pair.dt, speed)
+                one.observe(found, R, t, pair.dt)
+            place = one.shown(seen, R, t, velocity)
+            if np.linalg.norm(one.x[3:]) < STILL * speed:
+                self.scene.add(int(id_), one.x[:3])
+            elif place is not None:
+                self._obstacles[id_] = one
+                self.found.obstacles.append((pair.stamp, id_, *place))
+
     def _label(self, pair, still, plane, moving, far):
         """Note the labels by Definition 2, where a plane is, and by Definition 1."""
         by_block = np.where(far & still, Label.INFINITY,
@@ -260,7 +314,25 @@ class Mvo(Pipeline):
         self.found.blocks.append(self._on_grid(pair, by_block))
 
 
-def run(pipeline: type[Pipeline], camera: Camera, pairs, bounds: Thresholds = BOUNDS
+class Told(Mvo):
+    """[MVO], told which blocks show which mover: what its filter (14)-(16) makes of them."""
+
+    def __init__(self, movers_at: Callable[[int], np.ndarray], camera: Camera,
+                 bounds: Thresholds = BOUNDS):
+        """Take a function of a stamp that returns the mover of each macroblock, -1 for none."""
+        super().__init__(camera, bounds)
+        self._movers_at = movers_at
+
+    def _movers(self, pair, plane):
+        """Return those blocks of each mover that lie on one plane."""
+        true, none = self._movers_at(pair.stamp)[pair.cell], np.full(len(plane), -1)
+        one, found = replace(self.bounds, smallest=TOLD, planes=1), none.copy()
+        for id_ in np.unique(true[true >= 0]):
+            found[two_views.homographies(pair.view, true == id_, none, one) >= 0] = id_
+        return found
+
+
+def run(pipeline: Callable[..., Pipeline], camera: Camera, pairs, bounds: Thresholds = BOUNDS
         ) -> Found:
     """Run a pipeline over pairs of key frames."""
     made = pipeline(camera, bounds)

@@ -29,6 +29,7 @@ class Thresholds:
     e: float = 2.0  # Definition 1, magnitude: 0.5 px of MPEG-2, four times
     smallest: int = 20
     planes: int = 8  # most of a pair
+    tilt: float = np.inf  # of moving planes, `obstacles.observed`: nothing is printed
 
 
 class View(NamedTuple):

@@ -36,6 +36,9 @@ CONFIG = {
     # ... nor may one be given up that takes long to start anew on a machine with much to do.
     'distributed.deploy.lost-worker-timeout': '1 day',
     'distributed.worker.daemon': True,
+    # Of what Dask's developers look at; the rest would grow over thousands of tasks.
+    'distributed.admin.low-level-log-length': 100,
+    'distributed.admin.log-length': 100,
 }
 
 
@@ -233,11 +236,13 @@ def _local_cluster(workers: Workers) -> Iterator[Any]:
         raise UsageError(f'--memory-limit {limit} is too little: a worker with its libraries '
                          f'takes {LEAST_MEMORY >> 20} MiB before it has read anything')
     with LocalCluster(
-            n_workers=workers.count or os.cpu_count(), threads_per_worker=1, processes=True,
-            memory_limit=limit, host=LOOPBACK, silence_logs=logging.CRITICAL,
+            n_workers=0, threads_per_worker=1, processes=True, memory_limit=limit,
+            host=LOOPBACK, silence_logs=logging.CRITICAL,
             dashboard_address=f'{LOOPBACK}:{DASHBOARD if _has_bokeh() else 0}') as cluster:
         replacing = PeriodicCallback(partial(_replace, cluster), 1e3 * REPLACED)
         cluster.loop.add_callback(replacing.start)
+        # Asked for only now, so that one that dies while it starts does not end the cluster.
+        cluster.scale(workers.count or os.cpu_count())
         try:
             yield cluster
         finally:

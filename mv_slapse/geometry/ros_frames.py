@@ -4,8 +4,9 @@
 the base's pose at that moment (x forward, y left, z up, REP-103). With B the pose of the camera on
 the base, X_base = B X_cam, a point moves by X_odom = B X_W, and a pose by conjugation:
 T_odom_from_base = B T_world_from_cam B^-1. Where nothing is known of the base it is the camera
-itself with turned axes, and B is the fixed rotation R_BODY_FROM_OPTICAL. Where odom is to begin
-elsewhere, S is the base's pose in odom at that moment: X_odom = S B X_W.
+itself with turned axes, and B is the fixed rotation R_BODY_FROM_OPTICAL. Where odom begins
+elsewhere (on the ground, see ``level``; at a given pose), S is the base's pose in odom at that
+moment: X_odom = S B X_W.
 
 Every conversion has its inverse, and carries covariances by its Jacobian.
 """
@@ -27,9 +28,10 @@ class RosFrames:
     # X_base = R X_cam + t, (3, 3), (3,) [m or map unit]
     R_base_from_cam: np.ndarray = field(default_factory=R_BODY_FROM_OPTICAL.copy)
     t_base_from_cam: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    # pose in odom of the base at the first key frame, usually none, (3, 3), (3,)
+    # pose in odom of the base at the first key frame, (3, 3), (3,)
     R_odom_from_start: np.ndarray = field(default_factory=lambda: np.eye(3))
     t_odom_from_start: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    is_base_known: bool = False  # whether anybody has told the camera's place on the base
 
     @property
     def R_odom_from_world(self) -> np.ndarray:
@@ -138,7 +140,10 @@ def normal_depth_to_odom(normal: np.ndarray, depth: float, covariance: np.ndarra
     R, t = frames.R_odom_from_world, frames.t_odom_from_world
     J = np.block([[R, np.zeros((3, 1))], [-t @ R, np.ones((1, 1))]])
     moved = J @ np.r_[normal, depth]
-    return moved[:3], float(moved[3]), J @ covariance @ J.T
+    covariance = J @ covariance @ J.T
+    # Along the normal there is none, which rounding would make less.
+    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), 0.0))
+    return moved[:3], float(moved[3]), covariance
 
 
 def plane_to_odom(plane: np.ndarray, frames: RosFrames) -> np.ndarray:

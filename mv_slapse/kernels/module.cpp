@@ -22,6 +22,7 @@ void bind_chaining(kernels::py::module_& module);
 void bind_evidence(kernels::py::module_& module);
 void bind_merging(kernels::py::module_& module);
 void bind_motion_prior(kernels::py::module_& module);
+void bind_silhouettes(kernels::py::module_& module);
 void bind_small(kernels::py::module_& module);
 void bind_surfaces(kernels::py::module_& module);
 void bind_two_view(kernels::py::module_& module);
@@ -48,6 +49,7 @@ PYBIND11_MODULE(mv_slapse_kernels, made) {
   bind_evidence(module);
   bind_merging(module);
   bind_motion_prior(module);
+  bind_silhouettes(module);
   bind_small(module);
   bind_surfaces(module);
   bind_two_view(module);

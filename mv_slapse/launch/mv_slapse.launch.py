@@ -25,10 +25,13 @@ ARGUMENTS = (
     ('params_file', '', 'parameters of the nodes, such as config/all_in_one.yaml'),
     ('namespace', '', 'of all nodes'),
     ('use_sim_time', '', 'take the time from /clock; empty: only when a bag is played'),
-    ('all_in_one', 'false', 'one process instead of four'),
+    ('all_in_one', 'true', 'one process, which copies less; false: four nodes'),
+    ('bag_tf', 'false', 'play the /tf of a bag, too; where it has odom -> base_link that comes '
+     'twice, unless publish_tf is false'),
     ('rviz', 'false', 'show the results'),
     ('fixed_frame', 'odom', 'of the viewer: odom_frame, where that is another, or map'),
     ('respawn', 'true', 'start a node again when it ends'),
+    ('log_level', 'info', 'of the nodes: debug, info, warn, error or fatal'),
 )
 RESPAWN_DELAY = 0.2  # [s]
 NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker')
@@ -52,8 +55,9 @@ def start(context):
     actions = [node(name, kind, args) for name in names]
     if kind == 'bag':
         # the player advertises its topics at once and waits, so that the nodes can connect
+        without = [] if is_true(args['bag_tf']) else ['--exclude-topics', '/tf']
         actions.append(ExecuteProcess(
-            cmd=['ros2', 'bag', 'play', args['input'], '--clock', '--delay', '3'],
+            cmd=['ros2', 'bag', 'play', args['input'], '--clock', '--delay', '3', *without],
             output='screen'))
     if is_true(args['rviz']):
         actions.append(rviz(args))
@@ -70,6 +74,9 @@ def node(name, kind, args):
         overrides['source'] = args['input']
     return Node(package='mv_slapse', executable=name, name=name, namespace=args['namespace'],
                 parameters=[*parameters, overrides], remappings=remappings(name, kind, args),
+                # the node is started again by a process that has all loaded, and that by launch
+                arguments=[*(['--standby'] if is_true(args['respawn']) else []),
+                           '--ros-args', '--log-level', args['log_level']],
                 output='screen', respawn=is_true(args['respawn']), respawn_delay=RESPAWN_DELAY)
 
 

@@ -6,11 +6,11 @@ last outline has moved on to, is part of it unless a vector there says otherwise
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+import math
 
 import cv2
 from mv_slapse.changed import replace
-from mv_slapse.geometry.blocks import grid_centres, grid_index, grid_shape
+from mv_slapse.geometry.blocks import grid_shape
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.movers.identity import LIFETIME
 from mv_slapse.movers.moving_plane import MIN_BLOCKS
@@ -22,22 +22,6 @@ WEAK = 20.0  # px: a vector errs by 1 px, a mover grows by 0.05 in a pair
 NEVER = -1
 
 
-class _Motion(NamedTuple):
-    """Motion of a mover in the picture over the pair, back in time [px]."""
-
-    centre: np.ndarray
-    shift: np.ndarray
-    growth: float
-
-    def back(self, x: np.ndarray) -> np.ndarray:
-        """Return where pixels (N, 2) of key frame k were in the one before."""
-        return x + self.shift + self.growth * (x - self.centre)
-
-    def on(self) -> '_Motion':
-        """Return the same motion over one more pair."""
-        return self._replace(centre=self.centre - self.shift)
-
-
 @dataclass(frozen=True)
 class _Silhouette:
     """Macroblocks of one mover."""
@@ -45,7 +29,8 @@ class _Silhouette:
     # (M,) int64: when each was last inside the outline of the mover's blocks [ns]; NEVER: it is
     # not its
     seen: np.ndarray
-    motion: _Motion
+    # (5,): how it moves in the picture over the pair, back in time: centre, shift [px], growth
+    motion: np.ndarray
 
 
 class Silhouettes:
@@ -75,24 +60,26 @@ class Silhouettes:
         self._known = known
         return replace(extraction, macroblock_label=label, macroblock_plane=plane)
 
-    def _motions(self, extraction, correspondences) -> dict[int, _Motion]:
+    def _motions(self, extraction, correspondences) -> dict[int, np.ndarray]:
         """Return the motion of each mover in view, and of those that were, as it was."""
-        motions = {plane.id: _motion(extraction, correspondences, plane.id)
-                   for plane in extraction.planes if plane.label is Label.MOVING}
-        before = {id_: known.motion.on() for id_, known in self._known.items()}
-        return before | {id_: motion for id_, motion in motions.items() if motion is not None}
+        motions = {id_: known.motion - np.array([*known.motion[2:4], 0, 0, 0])
+                   for id_, known in self._known.items()}
+        for plane in extraction.planes:
+            if plane.label is Label.MOVING:
+                member = (extraction.plane_id == plane.id) & (extraction.label == Label.MOVING)
+                motion = compiled.motion_in_picture(
+                    correspondences.x_cur, correspondences.x_prev, member, MIN_BLOCKS, STRAY,
+                    WEAK)
+                if motion is not None:
+                    motions[plane.id] = motion
+        return motions
 
     def _carried(self, id_, motion, size, stamp) -> np.ndarray:
         """Return when each macroblock was last in the outline of a mover that moved on."""
-        columns, rows = grid_shape(*size)
-        seen = np.full(columns * rows, NEVER, np.int64)
-        before = self._known.get(id_)
-        if before is None or len(before.seen) != len(seen):
-            return seen
-        origin = grid_index(motion.back(grid_centres(*size)), *size)
-        seen[origin >= 0] = before.seen[origin[origin >= 0]]
-        seen[(seen > stamp) | (stamp - seen >= LIFETIME)] = NEVER
-        return seen
+        n, before = math.prod(grid_shape(*size)), self._known.get(id_)
+        if before is None or len(before.seen) != n:
+            return np.full(n, NEVER, np.int64)
+        return compiled.carry_cells(before.seen, motion, *size, stamp, LIFETIME)
 
 
 def vote(extraction: Extraction, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -107,21 +94,6 @@ def vote(extraction: Extraction, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         np.ascontiguousarray(extraction.label, np.int8),
         np.ascontiguousarray(extraction.plane_id, np.int32), extraction.width, extraction.height,
         int(Label.UNKNOWN))
-
-
-def _motion(extraction, correspondences, id_) -> _Motion | None:
-    """Return the motion of a mover's blocks in the picture, lens and all; None: too few."""
-    member = (extraction.plane_id == id_) & (extraction.label == Label.MOVING)
-    if member.sum() < MIN_BLOCKS:
-        return None
-    x = correspondences.x_cur[member].astype(float)
-    vector = correspondences.x_prev[member] - x
-    shift, centre = np.median(vector, axis=0), x.mean(axis=0)
-    off, left = x - centre, vector - shift
-    length = np.linalg.norm(left, axis=1)
-    good = length <= STRAY * np.median(length) + 1.0
-    growth = np.sum((off * left)[good]) / (np.sum(off[good]**2) + WEAK**2)
-    return _Motion(centre, shift, float(np.clip(growth, -0.5, 0.5)))
 
 
 def _outline(own: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -7,14 +7,14 @@ around a mover that move as it does.
 """
 
 from mv_slapse.geometry import moving_plane
-from mv_slapse.geometry.blocks import lookup, MACROBLOCK, paint
-from mv_slapse.geometry.camera import to_pixels
+from mv_slapse.geometry.blocks import lookup, paint
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.estimate import MIN_CORRESPONDENCES
 from mv_slapse.movers.regions import RULES
 from mv_slapse.records import Extraction, Label
 import numpy as np
 
-REACH = (0.3, 1.0)  # of a mover's height below and above it: a bus found by its lower half
+REACH = (1.0, 0.3)  # of a mover's height above and below it: a bus found by its lower half
 SLACK = (1.0, 0.12)  # px, share of the parallax: by how much a mover's own vectors differ
 LEAST_LEFT = 0.3  # share of the blocks that must be left to estimate the motion from
 
@@ -25,28 +25,14 @@ def like_movers(shown: Extraction, parallax: np.ndarray) -> np.ndarray:
     ``shown`` has motion, labels and moving planes; ``parallax`` (N,) are the lengths of its
     vectors without the camera's rotation [px].
     """
-    found = np.zeros(len(shown.x_cur), bool)
     movers = [plane for plane in shown.planes if plane.label is Label.MOVING]
     if not movers:
-        return found
-    x, R = shown.x_cur.astype(float), shown.motion.R_cur_from_prev
-    slack = SLACK[0] + SLACK[1] * parallax
-    for plane in movers:
-        box = _around(x[shown.plane_id == plane.id])
-        near = np.flatnonzero(np.all((x >= box[0]) & (x <= box[1]), axis=1)
-                              & (shown.plane_id < 0))
-        H = moving_plane.homography(plane.product, shown.K, R)
-        before = to_pixels(H, np.c_[x[near], np.ones(len(near))])
-        error = np.linalg.norm(before - shown.x_prev[near], axis=1)
-        found[near[error < slack[near]]] = True
-    return found
-
-
-def _around(x):
-    """Return the corners (2, 2) of the place in which a mover (N, 2) may have more blocks."""
-    low, high = x.min(axis=0) - MACROBLOCK, x.max(axis=0) + MACROBLOCK
-    height = high[1] - low[1]
-    return low - (0.0, REACH[1] * height), high + (0.0, REACH[0] * height)
+        return np.zeros(len(shown.x_cur), bool)
+    H = [moving_plane.homography(plane.product, shown.K, shown.motion.R_cur_from_prev)
+         for plane in movers]
+    return compiled.blocks_like_movers(
+        shown.x_cur, shown.x_prev, shown.plane_id, parallax, np.array([m.id for m in movers]),
+        np.reshape(H, (-1, 9)), REACH, SLACK)
 
 
 def below(rays: np.ndarray, rho: np.ndarray, blur: np.ndarray, floor: np.ndarray,

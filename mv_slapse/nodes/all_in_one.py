@@ -20,7 +20,7 @@ from mv_slapse.nodes.health import every
 from mv_slapse.nodes.known_place import KnownPlace
 from mv_slapse.nodes.obstacle_output import ObstacleOutput
 from mv_slapse.nodes.placement import Placement
-from mv_slapse.nodes.qos import RELIABLE
+from mv_slapse.nodes.qos import is_heard, RELIABLE
 from mv_slapse.nodes.scene_output import SceneOutput
 from mv_slapse.nodes.settings import CORE
 from mv_slapse.nodes.shell import run, Shell
@@ -104,19 +104,18 @@ class AllInOneNode(Shell):
         if self.latency.is_behind(came):
             record = overload.dropped(record)
         step = self._slapse.step(record, self._speeds.told(record.stamp))
-        frames = self._known.look(
-            step.scene, self._placement.place(self._extrinsics.frames(frame)))
-        self._archive.add(step.scene, record.previous_stamp, frames)
+        frames = self._known.look(step.scene, self._extrinsics.frames(frame))
+        self._archive.add(step.scene, record.previous_stamp, frames, self._placement.level)
         self._publish(step, frames)
         reason = step.extraction.reason
         self.health.set('no_motion', bool(reason), f'the camera\'s motion is not known: {reason}')
 
     def _publish(self, step: Step, frames):
         # what stays inside this process is made a message only for who listens
-        if self._correspondences.get_subscription_count():
+        if is_heard(self._correspondences):
             self._correspondences.publish(to_message(CorrespondencesMsg, (
                 fields.correspondences_to_fields(step.correspondences, frames))))
-        if self._observations.get_subscription_count():
+        if is_heard(self._observations):
             self._observations.publish(to_message(
                 PlaneObservations, fields.extraction_to_fields(step.extraction, frames)))
         self._handovers.publish(step.handovers, frames)

@@ -65,7 +65,7 @@ class Extrinsics:
         names = (self._settings.odom_frame, self._settings.base_frame, camera)
         if pose is not None:
             self._node.get_logger().info(f'camera {camera!r} on {names[1]!r}: {pose.tolist()}')
-            return RosFrames(*names, pose[:3, :3], pose[:3, 3])
+            return RosFrames(*names, pose[:3, :3], pose[:3, 3], is_base_known=True)
         message = (f'{names[1]} is taken as the camera with x forward and z up: there is no '
                    f'transform {names[1]} -> {camera} on /tf_static; publish it or set the '
                    'parameter base_from_camera, then restart')

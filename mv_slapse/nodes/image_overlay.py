@@ -10,7 +10,7 @@ from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.health import every
-from mv_slapse.nodes.qos import RELIABLE, subscribe
+from mv_slapse.nodes.qos import is_heard, RELIABLE, subscribe
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import Extraction, Obstacle, ScaleStatus
 from mv_slapse_msgs.msg import ObstacleArray, PlaneObservations
@@ -33,7 +33,7 @@ class ImageOverlay:
     @property
     def is_watched(self) -> bool:
         """Whether somebody subscribes; nothing is kept or drawn while nobody does."""
-        return self._publisher.get_subscription_count() > 0
+        return is_heard(self._publisher)
 
     def add_picture(self, stamp: int, luma: np.ndarray):
         """Keep a key picture (H, W) uint8 for what will be known of it."""

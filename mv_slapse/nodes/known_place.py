@@ -34,7 +34,10 @@ class KnownPlace:
         self._node.health.leave('unplaced')
 
     def look(self, scene: SceneEstimate, frames: RosFrames) -> RosFrames:
-        """Return the frames of a scene: moved where its planes have just been found again."""
+        """Return the placed frames of a scene: its planes may just have been found again."""
+        planes = self._known.planes if self._known else scene.planes
+        self._placement.settle(scene, frames, planes)
+        frames = self._placement.place(frames)
         if (self._known is None or self._is_found or scene.status is not TrackingStatus.OK
                 or self._due - PERIOD <= scene.stamp < self._due):
             return frames
@@ -44,7 +47,7 @@ class KnownPlace:
             self._say(placing.reason)
             return frames
         self._is_found = True
-        self._placement.begin_at(placing.known_from_world, frames)
+        self._placement.begin_at(placing.known_from_world, frames, planes)
         node = self._node
         node.count_reset()
         said = (f'found again by {len(placing.matches)} planes, within '

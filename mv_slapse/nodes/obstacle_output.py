@@ -4,7 +4,7 @@ from geometry_msgs.msg import PolygonInstanceStamped
 from mv_slapse import fields, planner_fields, view_fields
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import to_message
-from mv_slapse.nodes.qos import RELIABLE
+from mv_slapse.nodes.qos import is_heard, RELIABLE
 from mv_slapse.nodes.settings import FrameSettings, ObstacleOutputSettings
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import Obstacle, ScaleStatus
@@ -36,15 +36,18 @@ class ObstacleOutput:
     def publish(self, stamp: int, obstacles: list[Obstacle], scale: ScaleStatus,
                 frames: RosFrames):
         """Publish the obstacles of a key frame, an empty list as well."""
-        self._obstacles.publish(to_message(ObstacleArray, fields.obstacles_to_fields(
-            stamp, obstacles, scale, frames)))
         sure = planner_fields.sure(obstacles)
-        self._points.publish(to_message(PointCloud2, planner_fields.cloud_to_fields(
-            stamp, sure, frames, self._settings.point_spacing)))
-        for polygon in planner_fields.polygons_to_fields(stamp, sure, frames,
-                                                         self._settings.footprint_depth):
-            self._polygons.publish(to_message(PolygonInstanceStamped, polygon))
-        if self._markers.get_subscription_count():
+        if is_heard(self._obstacles):
+            self._obstacles.publish(to_message(ObstacleArray, fields.obstacles_to_fields(
+                stamp, obstacles, scale, frames)))
+        if is_heard(self._points):
+            self._points.publish(to_message(PointCloud2, planner_fields.cloud_to_fields(
+                stamp, sure, frames, self._settings.point_spacing)))
+        if is_heard(self._polygons):
+            for polygon in planner_fields.polygons_to_fields(stamp, sure, frames,
+                                                             self._settings.footprint_depth):
+                self._polygons.publish(to_message(PolygonInstanceStamped, polygon))
+        if is_heard(self._markers):
             self._markers.publish(to_message(MarkerArray, self._shown.show(
                 stamp, view_fields.obstacle_markers(obstacles, frames))))
         self._node.health.fresh('obstacles', len(sure))

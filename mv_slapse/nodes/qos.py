@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
@@ -35,6 +36,11 @@ def subscribe(node: Node, message_type: type, topic: str, callback: Callable[...
     events = SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost)
     return node.create_subscription(message_type, topic, callback, profile,
                                     event_callbacks=events, raw=True)
+
+
+def is_heard(*publishers: Publisher) -> bool:
+    """Return whether anybody subscribes: a message for nobody costs as much as one for many."""
+    return any(publisher.get_subscription_count() for publisher in publishers)
 
 
 def lost(node: Node, topic: str, n: int):

@@ -8,7 +8,7 @@ from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import bounded_covariance, stamp_to_msg, to_message
 from mv_slapse.nodes.extrinsics import tf_message_type
 from mv_slapse.nodes.placement import Placement
-from mv_slapse.nodes.qos import LATCHED, RELIABLE
+from mv_slapse.nodes.qos import is_heard, LATCHED, RELIABLE
 from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.nodes.settings import FrameSettings, SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
@@ -21,7 +21,7 @@ from visualization_msgs.msg import MarkerArray
 
 STATES = {'initialising': TrackingStatus.INITIALISING, 'predicted': TrackingStatus.PREDICTED,
           'lost': TrackingStatus.LOST}
-MARKERS_PERIOD = 1_000_000_000  # [ns] while nobody looks
+LATCHED_PERIOD = 1_000_000_000  # [ns] between two latched messages while nobody listens
 
 
 class SceneOutput:
@@ -55,7 +55,7 @@ class SceneOutput:
     def restart(self):
         """Forget the path."""
         self._poses: deque[PoseStamped] = deque(maxlen=self._settings.path_length)
-        self._path_due = self._markers_due = self._anew = 0
+        self._path_due = self._map_due = self._markers_due = self._anew = 0
         self._began: tuple[int, int] | None = None  # resets, and the stamp of the last [ns]
         self._shown = view_fields.MarkerBoard(
             self._node.settings[FrameSettings].odom_frame)
@@ -67,8 +67,11 @@ class SceneOutput:
             placement.note(scene, frames)
             self._publish_pose(scene, frames, placement)
             self._publish_path(scene, frames)
-        self._map.publish(to_message(PlaneMap, fields.plane_map_to_fields(
-            scene, frames, *self._beginning(scene.stamp))))
+        beginning = self._beginning(scene.stamp)
+        if is_heard(self._map) or scene.stamp >= self._map_due:
+            self._map_due = scene.stamp + LATCHED_PERIOD
+            self._map.publish(to_message(PlaneMap, fields.plane_map_to_fields(
+                scene, frames, *beginning)))
         self._publish_markers(scene, frames)
         self._report(scene)
 
@@ -87,9 +90,11 @@ class SceneOutput:
         self._node.health.value('covariances repaired', scene.repairs)
 
     def _publish_pose(self, scene: SceneEstimate, frames: RosFrames, placement: Placement):
-        if self._tf_type is not None and self._settings.publish_tf:
+        if self._tf_type is not None and self._settings.publish_tf and is_heard(self._tf):
             transform = fields.transform_to_fields(scene, frames)
             self._tf.publish(to_message(self._tf_type, {'transforms': [transform]}))
+        if not is_heard(self._odometry, self._pose, self._twist):
+            return
         odometry = fields.odometry_to_fields(scene, frames)
         pose, twist = odometry['pose'], odometry['twist']
         position = np.array([pose['pose']['position'][axis] for axis in 'xyz'])
@@ -97,15 +102,17 @@ class SceneOutput:
         twist['covariance'] = bounded_covariance(twist['covariance'])
         msg = to_message(Odometry, odometry)
         self._odometry.publish(msg)
-        self._pose.publish(PoseWithCovarianceStamped(header=msg.header, pose=msg.pose))
-        twist = TwistWithCovarianceStamped(twist=msg.twist)
-        twist.header.stamp, twist.header.frame_id = msg.header.stamp, frames.base
-        self._twist.publish(twist)
+        if is_heard(self._pose):
+            self._pose.publish(PoseWithCovarianceStamped(header=msg.header, pose=msg.pose))
+        if is_heard(self._twist):
+            twist = TwistWithCovarianceStamped(twist=msg.twist)
+            twist.header.stamp, twist.header.frame_id = msg.header.stamp, frames.base
+            self._twist.publish(twist)
 
     def _publish_path(self, scene: SceneEstimate, frames: RosFrames):
         """Publish the path now and then: its cost grows with its length."""
         self._poses.append(to_message(PoseStamped, fields.pose_stamped_to_fields(scene, frames)))
-        if scene.stamp < self._path_due:
+        if scene.stamp < self._path_due or not is_heard(self._path):
             return
         self._path_due = scene.stamp + int(self._settings.path_period * 1e9)
         path = Path(poses=list(self._poses))
@@ -114,9 +121,9 @@ class SceneOutput:
 
     def _publish_markers(self, scene: SceneEstimate, frames: RosFrames):
         """Publish markers for who looks, and each second for who looks later."""
-        if not self._markers.get_subscription_count() and scene.stamp < self._markers_due:
+        if not is_heard(self._markers) and scene.stamp < self._markers_due:
             return
-        self._markers_due = scene.stamp + MARKERS_PERIOD
+        self._markers_due = scene.stamp + LATCHED_PERIOD
         self._markers.publish(to_message(MarkerArray, self._shown.show(
             scene.stamp, view_fields.plane_markers(scene, frames))))
 

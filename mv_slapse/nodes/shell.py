@@ -4,6 +4,7 @@ from collections.abc import Callable
 import faulthandler
 import gc
 import signal
+import sys
 import time
 from typing import Any
 
@@ -13,6 +14,7 @@ from mv_slapse.nodes import parameters
 from mv_slapse.nodes.health import Health, SILENCE
 from mv_slapse.nodes.latency import Latency
 from mv_slapse.nodes.settings import NODE_SETTINGS
+from mv_slapse.nodes.standby import stand_by
 from mv_slapse.nodes.supervision import SupervisedExecutor, Tracebacks
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -183,6 +185,9 @@ def run(node_type: Callable[[], Node], args: list[str] | None = None) -> int:
     The signals are Python's here, not rclpy's: they only ask the loop to end, so that nothing is
     torn down under a callback's hands.
     """
+    code = stand_by(sys.argv if args is None else args)
+    if code is not None:
+        return code
     node, executor, stop = None, None, _Stop()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)

@@ -86,7 +86,7 @@ class SlamNode(Shell):
         due = self._handovers.due(extraction.stamp - 1, frames)
         scene, given = self._filter.step(extraction, due, self._speeds.told(extraction.stamp))
         frames = self._known.look(scene, frames)
-        self._archive.add(scene, extraction.previous_stamp, frames)
+        self._archive.add(scene, extraction.previous_stamp, frames, self._placement.level)
         self._handovers.publish(given, frames)
         self._output.publish(scene, frames, self._placement)
 

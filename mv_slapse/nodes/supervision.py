@@ -1,12 +1,15 @@
 """The border of a node: no exception of a callback, ours or foreign, crosses it."""
 
 from collections.abc import Callable
+import time
 import traceback
 from typing import Any
 
+from rclpy.event_handler import EventHandler
 from rclpy.executors import SingleThreadedExecutor
 
 REMEMBERED = 100  # kinds of errors whose traceback is told once
+EVENTS = 1.0  # [s] between two looks at the events of the middleware
 
 
 class SupervisedExecutor(SingleThreadedExecutor):
@@ -14,12 +17,29 @@ class SupervisedExecutor(SingleThreadedExecutor):
 
     rclpy lets such exceptions end the process: those of our callbacks, those of its own services
     (a parameter of a type that does not exist), those of messages that cannot be deserialised.
+
+    Each publisher and subscription has two or three events, such as a QoS that does not fit. To
+    wait for all of them costs more than half of a wake-up, so they are looked at now and then.
     """
 
     def __init__(self, report: Callable[[str, Exception], None]):
         """Call ``report`` with what the exception came from, and the exception."""
         super().__init__()
         self._report = report
+        self._looked, self._looks = -EVENTS, True
+
+    def spin_once(self, timeout_sec: float | None = None):
+        """Run what is ready, or what is first within so many seconds."""
+        now = time.monotonic()
+        self._looks = now - self._looked >= EVENTS
+        if self._looks:
+            self._looked = now
+        super().spin_once(timeout_sec)
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return whether an entity is waited for."""
+        is_due = self._looks or not isinstance(entity, EventHandler)
+        return is_due and super().can_execute(entity)
 
     def _make_handler(self, entity, node, take_from_wait_list):
         """Wrap both halves of a callback, the taking of its data and the call."""

@@ -26,7 +26,7 @@ from mv_slapse.scene import state as scene_state
 from mv_slapse.scene import update as scene_update
 from mv_slapse.scene.noise import Agreement, Dependence
 from mv_slapse.scene.observations import Observation
-from mv_slapse.scene.progress import Progress, SHORTEST
+from mv_slapse.scene.progress import PATIENCE, Progress, SHORTEST
 from mv_slapse.scene.scale import ratio as scene_ratio
 from mv_slapse.scene.scale import rest as scene_rest
 from mv_slapse.scene.scale import speed as scene_speed
@@ -36,7 +36,6 @@ from mv_slapse.scene.scale.speed_log import SpeedLog
 from mv_slapse.scene.state import SceneState
 import numpy as np
 
-PATIENCE = 5  # key frames in which a plane may contradict the map
 START = 3.0  # factor on the random walk of the velocity while the camera starts to move
 SLOW = 0.1  # share of the highest speed that is guessed where a start shows no known plane
 STANDING = 'the camera stands still'
@@ -200,7 +199,7 @@ class SceneFilter:
         settings, state = self._settings, self._state
         speed = np.linalg.norm(state.velocity)
         density = (settings.acceleration if self._progress.metric
-                   else settings.free_acceleration * self._progress.fastest)
+                   else self._progress.free_acceleration(speed, settings.free_acceleration))
         # Between two key frames a start is no random walk.
         density *= START if self._progress.rested else 1.0
         scene_state.propagate(state, dt, density, settings.angular_acceleration,
@@ -272,8 +271,9 @@ class SceneFilter:
         for i, id in enumerate(ids):
             index[plane_id == id] = i
         depths = scene_ratio.depths_of(pair, extraction.motion, settings)
+        follows &= self._progress.carried and bool(np.isfinite(extraction.baseline_ratio_sigma))
         ratio = (scene_ratio.told(self._state, extraction, depths, settings, self._progress.rested)
-                 if follows and self._progress.carried else [])
+                 if follows else [])
         if ratio:  # braking hard, a step from the length predicted would go beyond zero
             shown = scene_input.shown(self._state.previous, extraction.motion,
                                       float(np.exp(self._state.depth_scale)))
@@ -282,10 +282,11 @@ class SceneFilter:
         observations = [*self._rigid(ground), *gauge, *ratio]
         self._state = scene_update.update(
             self._state, start, pair, index, ids, settings, observations)
-        if not ratio:
+        if self._progress.gives_depths_up(follows, bool(ratio)):
             self._progress.carried = scene_ratio.begin(self._state, depths, settings.ratio_sigma)
         if first or self._progress.rested:
             scene_state.doubt_speed(self._state)
+            self._progress.going = self._progress.interval
         # Not the speed now: what comes to rest could hardly start again, the scale would shrink.
         self._progress.fastest = max(np.linalg.norm(self._state.velocity), self._progress.fastest)
         self._ride = self._ride.seen(self._state, extraction, ground, settings)

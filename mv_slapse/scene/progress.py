@@ -8,6 +8,8 @@ import numpy as np
 
 SHORTEST = 1e-4  # s between key frames, as the decoder has it; less shows a clock that stands
 ASTRAY = 5.0  # times lost_after: a car at rest may meanwhile be anywhere on the next crossing
+PATIENCE = 5  # key frames in which a plane, or depths, may contradict the map
+DEPTHS = -1  # in place of a plane's id
 FREE = 'first translation'  # what the unit of length is where nothing makes it metric
 
 
@@ -20,14 +22,15 @@ class Progress:
     since a rest; ``anew``: nor since the scene began anew, ``resets``: how often it did;
     ``repairs``: how often its covariance was put right; ``blind`` [s]: predicted since the last
     observation; ``misses``: how often in a row each plane has contradicted the map; ``interval``
-    [s]: between the last two key frames; ``age`` [s]: since the first; ``place``: position (3,)
-    that was published last.
+    [s]: between the last two key frames; ``age`` [s]: since the first, ``going`` [s]: since the
+    camera started to move; ``place``: position (3,) that was published last.
     """
 
     stamp: int
     lost_after: float
     interval: float = 0.0
     age: float = 0.0
+    going: float = 0.0
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
     supported: int | None = None
     source: str = FREE
@@ -56,6 +59,22 @@ class Progress:
         """Return whether lengths should soon become metres, which they are not yet."""
         return self.started and not self.metric and self.age < self.lost_after
 
+    def free_acceleration(self, speed: float, share: float) -> float:
+        """Return the random walk of a velocity [unit/s^1.5] whose unit nobody knows.
+
+        A share of the greatest speed so far; and as much as has brought the camera to its speed
+        since it started, when it has not been fast yet.
+        """
+        return max(share * self.fastest, speed / np.sqrt(max(self.going, SHORTEST)))
+
+    def gives_depths_up(self, compared: bool, told: bool) -> bool:
+        """Note whether a pair's depths were compared with those before, and told a length.
+
+        Returns whether they have no scale any more: one pair may be wrong, the map outlasts it.
+        """
+        self.misses[DEPTHS] = self.misses[DEPTHS] + 1 if compared and not told else 0
+        return not told and not 0 < self.misses[DEPTHS] <= PATIENCE
+
     def publish(self, status: TrackingStatus, place: np.ndarray):
         """Note where the camera is said to be."""
         if status in (TrackingStatus.OK, TrackingStatus.PREDICTED):
@@ -75,6 +94,7 @@ class Progress:
             self.supported = min(self.supported, stamp)
         self.stamp = stamp
         self.age += self.interval
+        self.going += self.interval
         return self.interval
 
     def see(self, stamp: int):

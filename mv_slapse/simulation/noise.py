@@ -11,7 +11,7 @@ from mv_slapse.config import Checked, setting
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.geometry.rotation import exp
-from mv_slapse.records import Correspondences
+from mv_slapse.records import Correspondences, Label
 from mv_slapse.simulation.drawn import draw, DrawnPair, match, SEARCH
 from mv_slapse.simulation.street import Street
 from mv_slapse.simulation.surfaces import SKY
@@ -36,6 +36,9 @@ class VectorNoise(Checked):
     offset: float = setting(
         0.012, 'px', 'error that all vectors of a pair share, and again that all pairs share', 0.0,
         10.0)
+    mover_lean: float = setting(
+        0.3, 'px', 'the same for each share of the vectors that movers have: encoders predict '
+        'vectors from those around', 0.0, 16.0)
     place: float = setting(
         0.4, 'px', 'standard deviation of the place in its block that a vector tells of, to the '
         'right and down, which all pairs share', 0.0, 16.0)
@@ -51,15 +54,10 @@ class NoisyVectors:
     def __init__(self, street: Street, noise: VectorNoise, rng: np.random.Generator):
         """Draw what lasts over the pairs."""
         self._street, self._noise, self._rng = street, noise, rng
-        self._turn = rng.normal(0, self._turn_sigma, 3)
+        self._turn = rng.normal(0, 1, 3)  # in standard deviations
         self._depth = rng.normal(0, noise.depth_bias)
         self._beside = rng.normal(0, noise.place, 2)
         self._heave = rng.normal(0, noise.heave)
-
-    @property
-    def _turn_sigma(self) -> float:
-        """Return the turn [rad] that the offset amounts to."""
-        return self._noise.offset / self._street.camera.K[0, 0]
 
     def pair(self, i: int, j: int) -> Correspondences:
         """Return what a codec would tell of frames i (previous) and j (current)."""
@@ -67,7 +65,7 @@ class NoisyVectors:
         drawn = draw(self._street, i, j, rng, 0.0, 0.0)
         x_cur = drawn.correspondences.x_cur.astype(float)
         self._sway(abs(j - i) / self._street.settings.fps)
-        x_prev = self._turned(drawn.x_true)
+        x_prev = self._turned(drawn.x_true, float(np.mean(drawn.label == Label.MOVING)))
         x_prev += noise.sigma * self._common(x_cur)
         x_prev += self._share(drawn.surface)[:, None] * self._parallax(i, j, x_cur, drawn.x_true)
         x_prev += self._misplaced(i, j, x_cur, drawn)
@@ -95,10 +93,15 @@ class NoisyVectors:
         same = seen & (surface == drawn.surface)
         return np.where(same[:, None], there - self._beside - drawn.x_true, 0.0)
 
-    def _turned(self, x: np.ndarray) -> np.ndarray:
-        """Return pixels (N, 2) as a camera sees them that is turned a little."""
-        turn = self._turn + self._rng.normal(0, self._turn_sigma, 3)
-        return to_pixels(self._street.camera.K, to_rays(self._street.camera.K, x) @ exp(turn).T)
+    def _turned(self, x: np.ndarray, movers: float) -> np.ndarray:
+        """Return pixels (N, 2) as a camera sees them that is turned a little.
+
+        ``movers`` is their share of the vectors.
+        """
+        K, noise = self._street.camera.K, self._noise
+        sigma = np.hypot(noise.offset, noise.mover_lean * movers) / K[0, 0]
+        turn = sigma * (self._turn + self._rng.normal(0, 1, 3))
+        return to_pixels(K, to_rays(K, x) @ exp(turn).T)
 
     def _common(self, x: np.ndarray) -> np.ndarray:
         """Return unit errors (N, 2) that neighbouring blocks have partly in common."""

@@ -10,11 +10,11 @@ from mv_slapse.errors import UnusableInput
 from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.known_map import KnownMap
 from mv_slapse.records import Extraction, MapPlane, ScaleStatus, SceneEstimate
-from mv_slapse.storage.whole_files import whole, write_text
+from mv_slapse.storage.whole_files import unusable, whole, write_text
 import numpy as np
 
 SCHEMA_VERSION = 1
-MOST_PLANES = 10_000  # kept for map.json, about 20 MB; the oldest go first
+MOST_PLANES = 10_000  # in map.json, about 20 MB; the oldest go first
 LARGEST_MAP = 1 << 26  # bytes
 UNIT = 1e-3  # by which a normal may be none
 FARTHEST = 1e9  # [m or map unit]
@@ -67,25 +67,49 @@ def _rows(file: IO, dtype: type, shape: tuple[int, int]) -> np.ndarray:
 
 
 class MapArchive:
-    """The planes there ever were in the map, each as last known; MOST_PLANES of them."""
+    """The planes there ever were in the map, each as last known; the newest MOST_PLANES of them.
+
+    Those that have left the map wait on the disk, for a run may last for days. A disk that is full
+    is told when they are asked for.
+    """
 
     def __init__(self):
         """Hold nothing yet."""
-        self._planes: dict[int, MapPlane] = {}
+        self._current: dict[int, MapPlane] = {}
         self._scene: SceneEstimate | None = None
+        self._error: OSError | None = None
+        self._left = TemporaryFile('w+')  # noqa: SIM115 (as long as the archive)
 
     def add(self, scene: SceneEstimate):
         """Take the map after a key frame."""
-        self._scene = scene
-        for plane in scene.planes:
-            self._planes.pop(plane.id, None)  # the newest stand last
-            self._planes[plane.id] = plane
-        while len(self._planes) > MOST_PLANES:
-            del self._planes[next(iter(self._planes))]
+        before, self._scene = self._current, scene
+        self._current = {plane.id: plane for plane in scene.planes}
+        try:
+            for id, plane in before.items():
+                if id not in self._current:
+                    self._left.write(json.dumps(_plane_content(plane, False)) + '\n')
+        except OSError as error:
+            self._error = self._error or error
 
     def content(self) -> dict[str, Any]:
-        """Return what ``map.json`` holds."""
-        return map_content(self._scene, self._planes.values())
+        """Return what ``map.json`` holds.
+
+        Raises
+        ------
+        UnusableOutput
+            Where the disk was full on the way.
+        """
+        if self._error is not None:
+            raise unusable('the map', self._error)
+        self._left.seek(0)  # what is buffered is written before
+        left = {}
+        for plane in map(json.loads, self._left):
+            left.pop(plane['id'], None)  # the newest stand last
+            left[plane['id']] = plane
+        content = map_content(self._scene, self._current.values())
+        planes = [plane for id, plane in left.items() if id not in self._current]
+        content['planes'] = [*planes, *content['planes']][-MOST_PLANES:]
+        return content
 
 
 def map_content(scene: SceneEstimate | None, planes: Any) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from mv_slapse import fields, planner_fields, view_fields
 from mv_slapse.codec.packet import Packet
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.level import levelled, start_to_fields
 from mv_slapse.records import (
     Correspondences,
     Extraction,
@@ -87,6 +88,7 @@ class MessageLog:
             self._began = scene.resets, stamp
         if scene.status in WITH_POSE:
             self._write_pose(scene)
+            frames = self._frames
         put('/correspondences', 'mv_slapse_msgs/msg/Correspondences',
             fields.correspondences_to_fields(step.correspondences, frames), stamp)
         put('/planes/observations', 'mv_slapse_msgs/msg/PlaneObservations',
@@ -114,8 +116,10 @@ class MessageLog:
     def _write_pose(self, scene: SceneEstimate):
         frames, put, stamp = self._frames, self._bag.write, scene.stamp
         if not self._poses:
-            camera = fields.camera_transform_to_fields(stamp, frames)
-            put('/tf_static', 'tf2_msgs/msg/TFMessage', {'transforms': [camera]}, stamp, True)
+            frames = self._frames = levelled(frames, scene.planes)
+            put('/tf_static', 'tf2_msgs/msg/TFMessage', {'transforms': [
+                fields.camera_transform_to_fields(stamp, frames),
+                start_to_fields(stamp, frames)]}, stamp, True)
         put('/tf', 'tf2_msgs/msg/TFMessage',
             {'transforms': [fields.transform_to_fields(scene, frames)]}, stamp)
         put('/odometry', 'nav_msgs/msg/Odometry', fields.odometry_to_fields(scene, frames), stamp)

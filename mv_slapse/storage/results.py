@@ -108,7 +108,7 @@ class ResultsWriter:
         steps = [*(partial(self._finish, file, name) for name, file in zip(
             ROWS, (self._trajectory, self._planes, self._obstacles), strict=True)),
             self._messages.close, partial(self._labels.save, self.out / 'labels.npz'),
-            partial(write_json, self.out / 'map.json', self._map.content())]
+            lambda: write_json(self.out / 'map.json', self._map.content())]
         if summary is not None:
             steps.append(partial(write_json, self.out / 'summary.json', summary))
         errors = [error for step in (*steps, self._labels.close) if (error := _failure(step))]

@@ -19,6 +19,7 @@ from mv_slapse.evaluation import (
 )
 from mv_slapse.evaluation.truth import LabelTable, read_arrays, read_labels, read_truth, Truth
 from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.level import frames_from_transforms
 from mv_slapse.records import SceneEstimate
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.tables import OBSTACLES_HEADER, PLANES_HEADER, read_table
@@ -113,9 +114,10 @@ def read_covariances(out: str | Path, stamp_offset: float = 0.0) -> tracking.Cov
     bag, shift = Path(out) / 'results.mcap', round(stamp_offset * 1e9)
     if not bag.exists():
         return {}
+    frames = frames_of(bag)
     messages = (msg for _, msg in BagReader(bag).messages(['/obstacles']))
     return {(o.stamp - shift, o.id): o.covariance for msg in messages
-            for o in fields.obstacles_from_message(msg, RosFrames())}
+            for o in fields.obstacles_from_message(msg, frames)}
 
 
 def read_pose_covariances(out: str | Path, stamp_offset: float = 0.0) -> dict[int, np.ndarray]:
@@ -123,9 +125,10 @@ def read_pose_covariances(out: str | Path, stamp_offset: float = 0.0) -> dict[in
     bag, shift = Path(out) / 'results.mcap', round(stamp_offset * 1e9)
     if not bag.exists():
         return {}
+    frames = frames_of(bag)
     messages = (msg for _, msg in BagReader(bag).messages(['/pose']))
     return {fields.stamp_from_message(msg.header.stamp) - shift:
-            fields.pose_from_message(msg, RosFrames()).covariance for msg in messages}
+            fields.pose_from_message(msg, frames).covariance for msg in messages}
 
 
 def read_scenes(out: str | Path) -> Iterator[SceneEstimate]:
@@ -133,11 +136,19 @@ def read_scenes(out: str | Path) -> Iterator[SceneEstimate]:
     bag, odometry = Path(out) / 'results.mcap', None
     if not bag.exists():
         return
+    frames = frames_of(bag)
     for _, msg in BagReader(bag).messages(['/odometry', '/planes/map']):
         if hasattr(msg, 'twist'):
             odometry = msg
         elif odometry is not None and odometry.header.stamp == msg.header.stamp:
-            yield fields.scene_from_messages(odometry, msg, RosFrames())
+            yield fields.scene_from_messages(odometry, msg, frames)
+
+
+def frames_of(bag: Path) -> RosFrames:
+    """Return where {W} lies in the odom of a run's messages."""
+    return frames_from_transforms(
+        transform for _, msg in BagReader(bag).messages(['/tf_static'])
+        for transform in msg.transforms)
 
 
 def read_results(out: str | Path, stamp_offset: float = 0.0) -> Results:

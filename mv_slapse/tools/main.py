@@ -176,8 +176,8 @@ def _add_bag(commands: Any) -> argparse.ArgumentParser:
     command.add_argument('--camera', required=True, metavar='YAML', help='camera_info file')
     command.add_argument('--ground-truth', metavar='TUM', help='true trajectory')
     command.add_argument('-o', '--output', required=True, metavar='BAG', help='folder to make')
-    command.add_argument('--start', type=float, default=0.0, metavar='S',
-                         help='stamp of the first picture (default: 0)')
+    command.add_argument('--start', type=float, default=1.0, metavar='S',
+                         help='stamp of the first picture (default: 1, as 0 is no time to ROS)')
     command.add_argument('--max-frames', type=_count, metavar='N', help='stop after N pictures')
     command.add_argument('--json', action='store_true', help='print one JSON object')
     return command
@@ -273,7 +273,8 @@ def _bag(args: argparse.Namespace) -> int:
                        round(args.start * 1e9), args.max_frames)
     _print(args, asdict(content),
            f'{content.path}: {content.packets} packets, {content.camera_infos} camera_info, '
-           f'{content.true_poses} true poses\nplay it with: ros2 bag play {content.path} --clock')
+           f'{content.true_poses} true poses, from {args.start:g} s on (eval: --stamp-offset '
+           f'{args.start:g})\nplay it with: ros2 bag play {content.path} --clock')
     return 0
 
 

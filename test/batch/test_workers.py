@@ -2,10 +2,13 @@
 
 import importlib.util
 import os
+from threading import Thread
+import time
 
 from mv_slapse.batch import workers
 from mv_slapse.batch.workers import MissingDask, open_pool, UnusableCluster, Workers
 from mv_slapse.errors import UsageError
+import psutil
 import pytest
 
 
@@ -29,6 +32,29 @@ def test_a_scheduler_that_does_not_answer_is_told(monkeypatch):
     with pytest.raises(UnusableCluster, match='no Dask scheduler answers at tcp://127.0.0.1:9'), \
             open_pool(Workers(scheduler='tcp://127.0.0.1:9')):
         pass
+
+
+def test_a_worker_that_dies_while_it_starts_is_replaced(monkeypatch):
+    monkeypatch.setattr(workers, 'REPLACED', 0.2)
+    killed = []
+
+    def kill():
+        """Kill the first process of a worker that appears."""
+        before, end = set(psutil.Process().children(recursive=True)), time.monotonic() + 30
+        while not killed and time.monotonic() < end:
+            for child in psutil.Process().children(recursive=True):
+                if child not in before and 'spawn_main' in ' '.join(child.cmdline()):
+                    child.kill()
+                    killed.append(child)
+                    break
+
+    killer = Thread(target=kill)
+    killer.start()
+    with open_pool(Workers(1)) as pool:
+        killer.join()
+        pool.submit('here', abs, -3)
+        assert list(pool.results()) == [('here', 3)]
+    assert killed
 
 
 def test_a_task_has_one_thread(pool):

@@ -83,6 +83,14 @@ def test_the_page_shows_what_was_measured(rows, tmp_path):
     assert len(pages[0]) == 3
 
 
+def test_the_fingerprint_is_that_of_all_but_times():
+    row = {('row', 'a', 'ours'): {'cpu_ms': 1.0, 'scale': 2.0}}
+    later = {('row', 'a', 'ours'): {'cpu_ms': 3.0, 'scale': 2.0}}
+    other = {('row', 'a', 'ours'): {'cpu_ms': 1.0, 'scale': 2.0 + 1e-12}}
+    assert compare_page.fingerprint(row) == compare_page.fingerprint(later)
+    assert compare_page.fingerprint(row) != compare_page.fingerprint(other)
+
+
 @pytest.mark.parametrize(('n_b', 'p'), [(1, 0.6), (2, 0.8), (3, 0.5)])
 def test_lemma_2_is_the_variance_of_drawn_vectors(n_b, p):
     drawn = departures.drawn_variance(n_b, p, 100_000)
@@ -100,3 +108,11 @@ def test_blocks_of_a_standing_car_are_called_moving_by_the_print_more_than_by_th
 def test_two_views_do_not_tell_the_distance_of_a_mover():
     (_, printed, _), = departures.gauge()
     assert float(printed.split(':')[0]) < 1e-9
+
+
+def test_a_car_that_starts_ahead_is_found_by_the_package_alone(monkeypatch):
+    monkeypatch.setattr(departures, 'SEEDS', 1)
+    (_, printed, ours), = departures.starting()
+    later = [float(part.split(', ')[1]) for part in (*printed.split('; '), ours)]
+    assert later[2] > 80
+    assert max(later[:2]) < 60

@@ -24,6 +24,12 @@ def test_reading_past_the_end_is_an_error_of_its_own():
         bitstream.BitReader(b'\x00').ue()
 
 
+def test_a_number_longer_than_any_that_the_standard_has_is_none():
+    assert bitstream.BitReader(bytes(3) + b'\x80' + bytes(4)).ue() == (1 << 24) - 1
+    with pytest.raises(EOFError, match='Exp-Golomb'):
+        bitstream.BitReader(bytes(6) + b'\xff' * 20).ue()
+
+
 def test_emulation_prevention_is_removed():
     assert bitstream.BitReader(b'\x00\x00\x03\x01').bits(24) == 1
 

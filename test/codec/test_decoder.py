@@ -90,6 +90,16 @@ def test_an_i_frame_after_a_loss_is_not_bridged(rng, lost):
         (40_000_000 * (lost[0] - 1), 40_000_000 * (lost[-1] + 1))]
 
 
+def test_an_i_frame_behind_a_lost_b_frame_is_not_bridged(rng):
+    """Both key pictures are whole, but who can say what else was lost with the B frame?"""
+    coded = packets(rng, Encoding('mpeg2video', 2, 6), 24)
+    keys = sorted(packet.stamp for packet in coded if packet.is_key)
+    lost, step = keys[1] - 2 * 40_000_000, 40_000_000
+    broken = [pair for pair in decoded([p for p in coded if p.stamp != lost])
+              if pair.kind is SegmentKind.BROKEN]
+    assert [(pair.previous_stamp, pair.stamp) for pair in broken] == [(lost - step, keys[1])]
+
+
 @pytest.mark.parametrize('back', [10_000_000_000, 0])
 def test_a_clock_that_is_set_back_breaks_one_pair_also_at_an_i_frame(rng, back):
     coded = packets(rng, Encoding('h264', 0, 6), 12)

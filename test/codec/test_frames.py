@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import av
 from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
-from mv_slapse.codec.frames import FrameDecoder
+from mv_slapse.codec.frames import _Stamps, FrameDecoder
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
 from mv_slapse.records import FrameType
@@ -75,6 +75,36 @@ def test_what_lies_behind_a_packet_in_memory_does_not_matter():
         # bytes of this length lie in memory with whatever comes next
         for frame in decoder.feed(Packet(bytes(packet), i, i == 0, 'mpeg4', b'')):
             assert not frame.damage
+
+
+def test_a_picture_with_a_hole_in_its_bytes_is_damaged(rng):
+    """FFmpeg conceals it and calls the picture corrupt; counts and times are whole."""
+    packets = list(encode(pictures.sliding(rng, 14, (2, 1)), 25, Encoding('mpeg2video', 0, 12)))
+    data, at = packets[5].data, len(packets[5].data) // 3
+    packets[5] = replace(packets[5], data=data[:at] + bytes(60) + data[at + 60:])
+    said = {5: 'the decoder calls the picture corrupt'}
+    assert [frame.damage for frame in decoded(packets)] == [said.get(i, '') for i in range(14)]
+
+
+def test_a_packet_that_cannot_be_decoded_gives_its_stamp_to_no_picture(rng):
+    """Stamps of the order of decoding go to the pictures as these are shown, the oldest first."""
+    packets = list(encode(pictures.sliding(rng, 30, (2, 1)), 25, Encoding('h264', 2, 30)))
+    noise = Packet(b'\x00\x00\x01\x41\xff', 0, False, 'h264')
+    packets = [replace(packet, stamp=10 * i) for i, packet in enumerate(
+        [*packets[:21], noise, *packets[21:]])]
+    frames = decoded(packets)
+    assert [frame.stamp for frame in frames] == [10 * i for i in range(31) if i != 21]
+    assert sum(bool(frame.damage) for frame in frames) == 1
+
+
+def test_a_picture_that_comes_after_its_packet_was_given_up_has_its_stamp():
+    """FFmpeg was seen to show one whose packet had raised an error."""
+    stamps = _Stamps()
+    for number in range(1, 4):
+        stamps.add(number, 10 * number)
+    stamps.drop(2)
+    assert [stamps.take(number, FrameType.P) for number in (1, 2, 3)] == [10, 20, 30]
+    assert stamps.take(2, FrameType.P) is None  # a second picture of one packet
 
 
 @pytest.mark.parametrize('stamp', [1 << 62, -(1 << 62)])

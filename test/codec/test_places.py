@@ -2,7 +2,7 @@ from fractions import Fraction
 
 import av
 from mv_slapse.codec import places
-from mv_slapse.codec.bitstream import Headers
+from mv_slapse.codec.bitstream import Headers, SliceHeader
 from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
 import pictures
 import pytest
@@ -59,6 +59,22 @@ def test_the_order_of_h264_is_that_of_showing(rng, encoding):
         frame = round(packet.stamp / 40e6)
         begin = first.setdefault(place.sequence, frame)
         assert place.count == step * (frame - begin)
+
+
+def test_counts_go_on_behind_a_loss_as_if_nothing_were_missing(rng):
+    packets = list(encode(pictures.sliding(rng, 30, (2, 1)), 25, Encoding('h264', 0, 30)))
+    found = read('h264', [*packets[:9], *packets[12:20], *packets[21:]])
+    assert [place.count for place in found] == [i for i in range(30) if i not in (9, 10, 11, 20)]
+    assert [bool(place.reason) for place in found] == [i in (9, 17) for i in range(26)]
+
+
+def test_the_order_turns_over_with_pictures_that_others_refer_to():
+    """H.264 8.2.1.1: what is ahead is told from the last reference, not from a B picture."""
+    counter = places.OrderCount(Headers())
+    coded = [(0, True), (7, True), (2, False), (14, True), (8, False), (21, True), (28, True)]
+    found = [counter._order(SliceHeader(i == 0, is_reference, 0, 1, order % 16), 16)
+             for i, (order, is_reference) in enumerate(coded)]
+    assert found == [order for order, _ in coded]
 
 
 @pytest.mark.parametrize('b_frames', [0, 2])

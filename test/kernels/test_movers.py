@@ -2,6 +2,7 @@
 
 import bodies_reference
 import movers_reference as reference
+from mv_slapse.geometry.blocks import grid_centres, grid_index, grid_shape
 from mv_slapse.geometry.camera import to_rays, UP
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import Depths
@@ -207,3 +208,69 @@ def test_regions_that_do_not_follow_each_other_are_refused(first, rng):
         compiled.fit_moving_surfaces(x, x, np.ones(4), np.array(first),
                                      View(np.eye(3), np.eye(3), np.zeros(3)), -UP,
                                      moving_plane.Rules())
+
+
+def members(rng):
+    """Return vectors of a mover that grows, some wrong, and which blocks of a picture it has."""
+    n = 60
+    x = rng.uniform(0, 600, (n, 2)).astype(np.float32)
+    member = rng.uniform(size=n) < 0.5
+    shown = 1.03 * x + np.array([4.0, -2.0]) + rng.normal(0, 0.3, (n, 2))
+    shown[::9] += rng.uniform(-60, 60, (len(shown[::9]), 2))
+    return x, shown.astype(np.float32), member
+
+
+def test_a_mover_moves_in_the_picture_as_by_the_formula(rng):
+    x, shown, member = members(rng)
+    found = compiled.motion_in_picture(x, shown, member, 4, 3.0, 20.0)
+    at = x[member].astype(float)
+    vector = shown[member] - at
+    shift, centre = np.median(vector, axis=0), at.mean(axis=0)
+    off, left = at - centre, vector - shift
+    length = np.linalg.norm(left, axis=1)
+    good = length <= 3.0 * np.median(length) + 1.0
+    assert not good.all()
+    growth = np.sum((off * left)[good]) / (np.sum(off[good]**2) + 20.0**2)
+    assert np.allclose(found, [*centre, *shift, growth], rtol=1e-9)
+    assert growth == pytest.approx(0.03, abs=0.01)
+    assert compiled.motion_in_picture(x, shown, member, member.sum() + 1, 3.0, 20.0) is None
+    assert compiled.motion_in_picture(x, 9 * x, member, 4, 3.0, 20.0)[4] == 0.5
+
+
+def test_macroblocks_move_on_as_by_the_formula(rng):
+    width, height = 250, 100  # those at the edges are cut
+    n = np.prod(grid_shape(width, height))
+    seen = rng.choice([-1, 300, 700, 1000, 1001], n)
+    motion = np.array([90.0, 40.0, 21.0, -9.0, 0.1])
+    centres = grid_centres(width, height)
+    origin = grid_index(centres + motion[2:4] + motion[4] * (centres - motion[:2]), width, height)
+    expected = np.where(origin >= 0, seen[origin], -1)
+    expected[(expected > 1000) | (1000 - expected >= 500)] = -1
+    assert {-1, 700, 1000} == set(expected)
+    assert np.array_equal(compiled.carry_cells(seen, motion, width, height, 1000, 500), expected)
+
+
+def test_blocks_around_movers_are_like_them_as_by_the_formula(rng):
+    n, ids = 400, np.array([100_000, 100_001])
+    x = rng.uniform(0, 400, (n, 2)).astype(np.float32)
+    plane_id = np.full(n, -1, np.int32)
+    H = np.array([[1.02, 0.001, 3], [0.002, 1.01, -2], [1e-5, -1e-5, 1]]) + 0.01 * np.array(
+        [np.zeros((3, 3)), [[0, 0, 500], [0, 0, 0], [0, 0, 0]]])
+    for id_, (left, top) in zip(ids, ((60, 200), (200, 100)), strict=True):
+        plane_id[np.all((x > (left, top)) & (x < (left + 60, top + 50)), axis=1)] = id_
+    shown = np.c_[x, np.ones(n)] @ H[0].T
+    shown = (shown[:, :2] / shown[:, 2:] + rng.normal(0, 1.0, (n, 2))).astype(np.float32)
+    parallax = rng.uniform(0, 8, n)
+    expected = np.zeros(n, bool)
+    for id_, one in zip(ids, H, strict=True):
+        low, high = x[plane_id == id_].min(axis=0) - 16, x[plane_id == id_].max(axis=0) + 16
+        tall = high[1] - low[1]
+        low, high = low - (0, 1.0 * tall), high + (0, 0.3 * tall)
+        near = np.all((x >= low) & (x <= high), axis=1) & (plane_id < 0)
+        to = np.c_[x, np.ones(n)] @ one.T
+        error = np.linalg.norm(to[:, :2] / to[:, 2:] - shown, axis=1)
+        expected |= near & (error < 1.0 + 0.12 * parallax)
+    found = compiled.blocks_like_movers(x, shown, plane_id, parallax, ids, H.reshape(-1, 9),
+                                        (1.0, 0.3), (1.0, 0.12))
+    assert 5 < expected.sum() < 100
+    assert np.array_equal(found, expected)

@@ -70,7 +70,7 @@ def ahead():
 
 
 def parallax_of(shown):
-    return np.linalg.norm(shown.x_cur - shown.x_prev, axis=1)
+    return np.linalg.norm(shown.x_cur - shown.x_prev, axis=1).astype(float)
 
 
 def test_around_a_mover_only_what_moves_as_it_does_is_doubtful(ahead):

@@ -3,6 +3,9 @@
 from functools import cache
 
 from mv_slapse.config import SceneSettings, Settings
+from mv_slapse.geometry.ros_frames import Pose, pose_to_odom, RosFrames
+from mv_slapse.level import levelled
+from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.pipeline import Slapse
 from mv_slapse.records import Correspondences, SegmentKind
 from mv_slapse.simulation.drawn import draw_pair
@@ -31,6 +34,14 @@ def steps(n: int) -> list:
     """Return what the pipeline makes of the pairs."""
     slapse = Slapse(camera(), Settings(scene=SceneSettings(camera_height=HEIGHT)))
     return [slapse.step(pair) for pair in pairs(n)]
+
+
+def in_odom(scenes) -> list[Pose]:
+    """Return the poses of the base where nobody told the camera's place on it."""
+    scenes = [scene for scene in scenes if scene.status in WITH_POSE]
+    frames = levelled(RosFrames(), scenes[0].planes)
+    return [pose_to_odom(Pose(scene.R_world_from_cam, scene.t_world_from_cam), frames)
+            for scene in scenes]
 
 
 def camera():

@@ -24,13 +24,14 @@ from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
 from mv_slapse.nodes.shell import Shell  # noqa: E402
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
 from mv_slapse.records import ScaleStatus, TrackingStatus  # noqa: E402
-from mv_slapse.states import CONDITIONS, Kind  # noqa: E402
+from mv_slapse.states import CONDITIONS  # noqa: E402
 from mv_slapse.storage.archives import map_content, write_json  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences, PlaneMap, PlaneObservations  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from nodes import clips, drives  # noqa: E402
 from nodes.bench import BEST_EFFORT, held_up, LATCHED, messages_of, value_of  # noqa: E402
+from nodes.conditions import leaves, reaches, SEEN, state  # noqa: E402
 import numpy as np  # noqa: E402
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
@@ -43,8 +44,6 @@ from nodes.video import Video  # noqa: E402
 EMPTY = np.zeros(0, np.uint8)
 FRAMES = RosFrames(camera='cam')
 VIDEO_NODES = pytest.mark.parametrize('node_type', [DecoderNode, AllInOneNode])
-LEVELS = dict(zip(Kind, (b'\x02', b'\x01', b'\x01', b'\x00'), strict=True))
-REACHED = set()
 
 
 @pytest.fixture(autouse=True)
@@ -53,25 +52,6 @@ def impatient(monkeypatch):
     for module in (health, decoding, latency, shell):
         monkeypatch.setattr(module, 'SILENCE', 0.8)
     monkeypatch.setattr(numbering, 'WAIT', 0.2)  # or it would be silent while pairs wait
-
-
-def state(node):
-    return value_of(node, 'condition')
-
-
-def reaches(bench, node, key, said=''):
-    """Wait for a condition; level, kind and words are those of the table."""
-    assert bench.spin(lambda: state(node) == key, 10), messages_of(node)
-    REACHED.add(key)
-    assert said in messages_of(node)
-    if key != 'rejected':
-        kind = CONDITIONS[key].kind
-        assert value_of(node, 'state') == kind.name.lower()
-        assert node.health.status().level == LEVELS[kind]
-
-
-def leaves(bench, node, key):
-    assert bench.spin(lambda: state(node) != key, 10), messages_of(node)
 
 
 @VIDEO_NODES
@@ -397,4 +377,6 @@ def test_what_is_published_is_the_state(bench):
 def test_every_condition_was_reached(request):
     if len(request.session.items) < 30:
         pytest.skip('only some tests of this module were run')
-    assert set(CONDITIONS) == REACHED
+    assert set(CONDITIONS) == {key for keys in SEEN.values() for key in keys}
+    left = {key for keys in SEEN.values() for key in keys[:-1] if keys[-1] != key}
+    assert set(CONDITIONS) - left == {'ended'}  # a source that has ended has ended for good

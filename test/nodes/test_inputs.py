@@ -1,6 +1,10 @@
-"""A real street as every type of topic: the pose of each picture, before the next but one."""
+"""A real street as every type of topic: the pose of each picture, before the next but one.
+
+MV_SLAPSE_PICTURES=200 pytest -s test/nodes/test_inputs.py    the whole street, with its figures
+"""
 
 from functools import cache
+import os
 
 import pytest
 
@@ -20,9 +24,10 @@ import numpy as np  # noqa: E402
 import other_codecs  # noqa: E402
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402
 
-N, PERIOD, START = 60, 100_000_000, 1_700_000_000_000_000_000
+N = int(os.environ.get('MV_SLAPSE_PICTURES', '60'))
+PERIOD, START = 100_000_000, 1_700_000_000_000_000_000
 # The truth of the first 1.5 s has a constant speed, while the pictures show the car gather it.
-WRONG = 15
+WRONG = 15 if N < 200 else 0
 NO_B = {'x265-params': 'log-level=none:bframes=0', 'crf': '18'}
 
 
@@ -119,8 +124,10 @@ def test_every_picture_of_a_street_gets_its_pose_in_time(bench, data, name):
         bench.spin(lambda i=i: i < 2 or received and stamp_from_message(
             received[-1].header.stamp) >= stamps[i - 1], 0.5 if i > 3 else 0.1)
         late += i > 3 and stamp_from_message(received[-1].header.stamp) < stamps[i - 1]
-    assert late <= 0.05 * N
     assert len(received) >= 0.9 * N
     path = estimated(received[WRONG:])
     found = figures(evaluate(path, read_trajectory(folder / 'ground_truth.tum')))
+    print(f'{name}: error {found["ate_mean_percent"]:.3f} %, {len(received)} poses of {N} '
+          f'pictures, {late} later than one picture')
     assert found['ate_mean_percent'] < 0.5
+    assert late <= 0.05 * N

@@ -8,12 +8,16 @@ LAUNCH_FILE = Path(__file__).parents[2] / 'mv_slapse' / 'launch' / 'mv_slapse.la
 FOUR = ['decoder', 'plane_extraction', 'slam', 'obstacle_tracker']
 
 
-def resolve(**arguments):
-    return {started.executable: started
-            for started in fake_launch.resolve(LAUNCH_FILE, **arguments)}
+def resolve(all_in_one='false', **arguments):
+    return {started.executable: started for started in fake_launch.resolve(
+        LAUNCH_FILE, all_in_one=all_in_one, **arguments)}
 
 
-def test_without_arguments_the_four_nodes_start_on_their_own_topics():
+def test_without_arguments_one_process_does_everything():
+    assert [one.executable for one in fake_launch.resolve(LAUNCH_FILE)] == ['all_in_one']
+
+
+def test_the_four_nodes_start_on_their_own_topics():
     nodes = resolve()
     assert list(nodes) == FOUR
     assert all(node.parameters == {'use_sim_time': False} for node in nodes.values())
@@ -58,6 +62,17 @@ def test_a_bag_is_played_with_its_clock_and_the_nodes_follow_it(tmp_path):
     assert nodes['decoder'].remappings['video'] == '/camera/image/ffmpeg'
 
 
+def test_the_transforms_of_a_bag_do_not_double_ours(tmp_path):
+    cmd = resolve(input=str(tmp_path))['ros2'].cmd
+    assert cmd[cmd.index('--exclude-topics') + 1:] == ['/tf']  # and /tf_static is played
+    assert '/tf' not in resolve(input=str(tmp_path), bag_tf='true')['ros2'].cmd
+
+
+def test_the_level_of_the_log_is_that_of_all_nodes():
+    for node in resolve(log_level='debug').values():
+        assert node.cmd[node.cmd.index('--log-level') + 1] == 'debug'
+
+
 def test_use_sim_time_can_be_refused_for_a_bag():
     assert not resolve(input='x.mcap', use_sim_time='false')['slam'].parameters['use_sim_time']
 
@@ -67,7 +82,10 @@ def test_all_in_one_is_a_single_node_with_everything():
     assert list(nodes) == ['all_in_one']
     node = nodes['all_in_one']
     assert node.respawn
-    assert not resolve(respawn='false')['slam'].respawn
+    assert '--standby' in node.cmd
+    once = resolve(respawn='false')['slam']
+    assert not once.respawn
+    assert '--standby' not in once.cmd
     assert node.namespace == 'robot'
     assert node.remappings == {'video': '/video', 'camera_info': '/camera_info'}
 
@@ -88,7 +106,7 @@ def test_the_launch_file_loads_in_the_real_launch():
     pytest.importorskip('launch_ros')
     from launch.launch_description_sources import get_launch_description_from_python_launch_file
     description = get_launch_description_from_python_launch_file(str(LAUNCH_FILE))
-    assert len(description.entities) == 13
+    assert len(description.entities) == 15
 
 
 def test_the_viewer_shows_the_frame_that_it_is_told():

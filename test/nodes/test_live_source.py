@@ -4,6 +4,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+import av  # noqa: E402
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.codec.encoding.encoder import LOW_LATENCY, write_video  # noqa: E402
 from mv_slapse.errors import UnusableInput  # noqa: E402
@@ -13,9 +14,11 @@ from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
 from mv_slapse.records import SegmentKind  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences  # noqa: E402
-from nodes import clips  # noqa: E402
-from nodes.bench import messages_of  # noqa: E402
-from nodes.network import camera, free_port  # noqa: E402
+from nodes import clips, network  # noqa: E402
+from nodes.bench import messages_of, value_of  # noqa: E402
+from nodes.network import free_port  # noqa: E402
+
+CAMERAS = {'tcp': network.camera, 'rtsp': network.rtsp_camera}
 
 
 @pytest.fixture
@@ -25,11 +28,13 @@ def stream(tmp_path) -> bytes:
     return (tmp_path / 'clip.ts').read_bytes()
 
 
-@pytest.mark.parametrize('origin', ['clock', 'stream'])
-def test_a_camera_that_comes_late_and_breaks_off_is_opened_again(bench, tmp_path, stream, origin):
-    port = free_port()
+@pytest.mark.parametrize(('protocol', 'origin'), [
+    ('tcp', 'clock'), ('tcp', 'stream'), ('rtsp', 'clock')])
+def test_a_camera_that_comes_late_and_breaks_off_is_opened_again(bench, tmp_path, stream, protocol,
+                                                                 origin):
+    port, camera = free_port(), CAMERAS[protocol]
     received = bench.listen(Correspondences, 'correspondences')
-    node = bench.start(DecoderNode, source=f'tcp://127.0.0.1:{port}', stamp_origin=origin,
+    node = bench.start(DecoderNode, source=f'{protocol}://127.0.0.1:{port}', stamp_origin=origin,
                        camera_info_url=str(tmp_path / 'camera.yaml'))
     assert bench.spin(lambda: 'it is opened again in' in messages_of(node), 10)
     with camera(port, stream, 2) as thread:
@@ -46,6 +51,34 @@ def test_a_camera_that_comes_late_and_breaks_off_is_opened_again(bench, tmp_path
     before = [fields.stamp_from_message(msg.previous_stamp) for msg in received]
     assert before[1:] == stamps[:-1]
     assert bench.spin(lambda: 'it is opened again in' in messages_of(node), 10)
+
+
+def test_a_camera_of_this_machine_that_is_not_there_is_waited_for(bench, stream, tmp_path):
+    node = bench.start(DecoderNode, source='/dev/video99',
+                       camera_info_url=str(tmp_path / 'camera.yaml'))
+    for wait in ('0.5', '1', '2'):
+        assert bench.spin(lambda wait=wait: f'/dev/video99: no such file; check the path; it is '
+                          f'opened again in {wait} s' in messages_of(node), 10)
+    assert value_of(node, 'condition') == 'unreachable'
+
+
+def test_a_stream_without_vectors_from_the_network_is_encoded_again(bench, tmp_path, stream):
+    port, images = free_port(), clips.pictures()
+    with av.open(str(tmp_path / 'hevc.ts'), 'w') as container:
+        video = container.add_stream('libx265', rate=round(clips.FPS))
+        video.width, video.height = clips.SIZE
+        video.pix_fmt = 'yuv420p'
+        video.options = {'x265-params': 'log-level=none:bframes=0', 'preset': 'ultrafast'}
+        for image in images:
+            container.mux(video.encode(av.VideoFrame.from_ndarray(image, 'gray').reformat(
+                format='yuv420p')))
+        container.mux(video.encode(None))
+    received = bench.listen(Correspondences, 'correspondences')
+    node = bench.start(DecoderNode, source=f'tcp://127.0.0.1:{port}',
+                       camera_info_url=str(tmp_path / 'camera.yaml'))
+    with network.camera(port, (tmp_path / 'hevc.ts').read_bytes(), held=3.0):
+        assert bench.spin(lambda: received, 20)
+    assert value_of(node, 'encoded again') == 'hevc'
 
 
 def test_a_protocol_that_is_not_taken_ends_the_node_at_once(bench):

@@ -191,8 +191,8 @@ def test_each_confirmed_obstacle_has_a_polygon_on_the_ground(bench):
                             [car(3, ObstacleState.COASTING), car(4, ObstacleState.TENTATIVE)])
     assert [msg.polygon.id for msg in polygons] == [3]
     corners = np.array([(p.x, p.y, p.z) for p in polygons[0].polygon.polygon.points])
-    np.testing.assert_allclose(corners.min(0), [9.75, -1, 0], atol=1e-5)
-    np.testing.assert_allclose(corners.max(0), [10.25, 1, 0], atol=1e-5)
+    np.testing.assert_allclose(corners.min(0), [9.75, -1, -1.5], atol=1e-5)
+    np.testing.assert_allclose(corners.max(0), [10.25, 1, -1.5], atol=1e-5)
 
 
 def test_markers_keep_their_ids_and_are_deleted(bench):

@@ -1,6 +1,7 @@
 """Nodes as processes: how they start, what they say when they cannot, and how they end."""
 
 import os
+from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -18,13 +19,14 @@ from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences  # noqa: E402
 from nodes import clips, fake_launch  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
 NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker', 'all_in_one')
 
 
-def start(name, *arguments):
+def start(name, *arguments, more=()):
     return subprocess.Popen(
-        [sys.executable, '-m', f'mv_slapse.nodes.{name}', '--ros-args', *arguments],
+        [sys.executable, '-m', f'mv_slapse.nodes.{name}', *more, '--ros-args', *arguments],
         env={**os.environ, 'PYTHONPATH': str(ROOT)}, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
 
@@ -94,6 +96,58 @@ def test_a_node_whose_end_hangs_is_ended_with_code_1_and_tells_where(ros_domain)
     assert 'destroy_node' in said
 
 
+def cpu_of(number):
+    """Return the CPU time of a process, without its children."""
+    words = Path(f'/proc/{number}/stat').read_text().rpartition(')')[2].split()
+    return sum(map(int, words[11:13]))
+
+
+def child_of(process):
+    return int(Path(f'/proc/{process.pid}/task/{process.pid}/children').read_text() or 0)
+
+
+@pytest.fixture
+def standing(bench):
+    """A node that is forked by a process left behind."""
+    process = start('slam', more=['--standby'])
+    try:
+        assert bench.spin(lambda: child_of(process) and 'slam' in names_of(bench.peer), 60)
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_node_that_is_killed_is_there_again_without_loading_anything(bench, standing):
+    first = child_of(standing)
+    os.kill(first, signal.SIGKILL)
+    assert bench.spin(lambda: child_of(standing) not in (0, first), 30)
+    second = child_of(standing)
+    assert bench.spin(lambda: not Path(f'/proc/{first}').exists())
+    client = bench.peer.create_client(Trigger, '/slam/reset')
+    assert bench.spin(client.service_is_ready, 30)
+    assert cpu_of(second) < 0.6 * cpu_of(standing.pid)  # a third is usual
+    standing.send_signal(signal.SIGTERM)
+    said, _ = standing.communicate(timeout=20)
+    assert standing.returncode == 0
+    assert 'SIGKILL has ended the node, it is started again' in said
+    assert not Path(f'/proc/{second}').exists()
+
+
+def test_a_node_does_not_outlive_the_process_left_behind(bench, standing):
+    node = child_of(standing)
+    standing.kill()
+    standing.wait()
+    assert bench.spin(lambda: not Path(f'/proc/{node}').exists(), 20)
+
+
+def test_what_ends_a_node_for_good_does_so_with_a_standby_too(ros_domain):
+    process = start('decoder', '-p', 'source:=/missing/film.mp4', more=['--standby'])
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode == 3
+    assert said.count('/missing/film.mp4') == 1
+
+
 def test_a_parameter_out_of_bounds_ends_the_node_with_code_2_and_its_bounds(ros_domain):
     process = start('slam', '-p', 'scene.camera_height:=-1.0')
     said, _ = process.communicate(timeout=20)
@@ -121,7 +175,7 @@ def test_what_the_launch_file_starts_runs(bench, tmp_path):
     started = fake_launch.resolve(
         ROOT / 'mv_slapse' / 'launch' / 'mv_slapse.launch.py', input=str(tmp_path / 'clip.mp4'),
         params_file=str(tmp_path / 'slow.yaml'), camera_info_url=str(tmp_path / 'camera.yaml'),
-        namespace='robot')
+        namespace='robot', all_in_one='false')
     processes = [subprocess.Popen(s.cmd, text=True, stdout=subprocess.PIPE,
                                   stderr=subprocess.STDOUT) for s in started]
     try:

@@ -1,3 +1,4 @@
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from mv_slapse_msgs.msg import PlaneHandover, PlaneMap, PlaneObservations  # noq
 from nav_msgs.msg import Odometry  # noqa: E402
 from nav_msgs.msg import Path as PathMsg
 from nodes import drives  # noqa: E402
-from nodes.bench import BEST_EFFORT, LATCHED, messages_of  # noqa: E402
+from nodes.bench import BEST_EFFORT, LATCHED, messages_of, value_of  # noqa: E402
 import numpy as np  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
@@ -54,9 +55,8 @@ def position(msg):
 
 
 def expected_positions(n=N):
-    """Return where the base is in odom: x forward is z of {W}, y left is -x, z up is -y."""
-    return np.array([[t[2], -t[0], -t[1]] for t in (
-        step.scene.t_world_from_cam for step in drives.steps(n))])
+    """Return where the base is in odom, which stands on the ground."""
+    return np.array([pose.t for pose in drives.in_odom([step.scene for step in drives.steps(n)])])
 
 
 def test_observations_give_the_poses_and_the_map_of_the_filter(bench):
@@ -103,7 +103,8 @@ def test_the_pose_is_that_of_the_base_where_the_camera_has_a_place_on_it(bench):
     scene = drives.steps(N)[-1].scene
     R = R_BODY_FROM_OPTICAL @ scene.R_world_from_cam @ R_BODY_FROM_OPTICAL.T
     camera_in_odom = position(odometry[-1]) + R @ place[:3]
-    np.testing.assert_allclose(camera_in_odom, expected_positions()[-1] + place[:3], atol=1e-9)
+    t = scene.t_world_from_cam  # x forward is z of {W}, y left is -x, z up is -y
+    np.testing.assert_allclose(camera_in_odom, [t[2] + 1.0, -t[0], 1.6 - t[1]], atol=1e-9)
 
 
 def test_trajectory_and_map_are_saved_where_the_parameter_says(bench, tmp_path):
@@ -130,6 +131,33 @@ def test_a_folder_that_cannot_be_written_is_said(bench, tmp_path):
     response = bench.call(Trigger, '/slam/save_map')
     assert not response.success
     assert 'output_directory' in response.message
+
+
+def test_a_file_that_cannot_be_written_is_said(bench, tmp_path):
+    odometry = bench.listen(Odometry, 'odometry')
+    bench.start(SlamNode, output_directory=str(tmp_path), **PARAMETERS)
+    feed(bench)
+    assert bench.spin(lambda: len(odometry) == N, 30)
+    for name in ('map.json.part', 'trajectory.tum.part'):
+        (tmp_path / name).mkdir()
+    for service in ('save_map', 'save_trajectory'):
+        response = bench.call(Trigger, f'/slam/{service}')
+        assert not response.success
+        assert 'output_directory' in response.message
+
+
+def test_a_full_disk_costs_the_trajectory_to_save_and_no_pose(bench, tmp_path, monkeypatch):
+    odometry = bench.listen(Odometry, 'odometry')
+    node = bench.start(SlamNode, output_directory=str(tmp_path), **PARAMETERS)
+    with suppress(OSError), Path('/dev/full').open('w', buffering=1) as full:
+        monkeypatch.setattr(node._archive._rows, '_file', full)
+        feed(bench)
+        assert bench.spin(lambda: len(odometry) == N, 30)
+        response = bench.call(Trigger, '/slam/save_trajectory')
+    assert not response.success
+    assert 'No space left' in response.message
+    assert not (tmp_path / 'trajectory.tum').exists()
+    assert value_of(node, 'faults') == ''
 
 
 def test_nothing_to_save_is_said_and_no_file_is_left(bench, tmp_path):
@@ -204,9 +232,9 @@ def test_where_a_message_was_lost_the_robot_does_as_a_replay_of_the_rest(bench):
             extraction, RosFrames(camera='cam'))))
     assert bench.spin(lambda: len(odometry) == 7, 30)
     filter_ = SceneFilter(SceneSettings(camera_height=drives.HEIGHT))
-    replayed = np.array([filter_.step(extraction)[0].t_world_from_cam for extraction in rest])
+    replayed = drives.in_odom([filter_.step(extraction)[0] for extraction in rest])
     np.testing.assert_allclose([position(msg) for msg in odometry],
-                               np.c_[replayed[:, 2], -replayed[:, 0], -replayed[:, 1]], atol=1e-5)
+                               [pose.t for pose in replayed], atol=1e-5)
     np.testing.assert_allclose(position(odometry[-1]), expected_positions(8)[-1], atol=0.15)
     assert 'gaps' in str(node.health.status().values)
 
@@ -243,9 +271,8 @@ def test_the_speed_of_wheels_makes_the_scale_metric_as_in_a_replay(bench):
     first = Speed(extractions()[0].previous_stamp, 7.5)
     replayed = [filter_.step(extraction, (), [first, speed] if i == 0 else [speed])[0]
                 for i, (extraction, speed) in enumerate(zip(extractions(), speeds, strict=True))]
-    t = np.array([scene.t_world_from_cam for scene in replayed])
     np.testing.assert_allclose([position(msg) for msg in odometry],
-                               np.c_[t[:, 2], -t[:, 0], -t[:, 1]], atol=1e-9)
+                               [pose.t for pose in drives.in_odom(replayed)], atol=1e-9)
     assert {(msg.scale_status, msg.scale_source) for msg in maps} == {(1, 'speed')}
 
 

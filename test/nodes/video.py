@@ -7,6 +7,7 @@ from mv_slapse.nodes.conversions import to_message
 from mv_slapse.video_messages import packet_to_fields
 from nodes import clips
 from nodes.bench import LATCHED, messages_of, value_of
+from nodes.conditions import note
 import numpy as np
 from sensor_msgs.msg import CameraInfo
 
@@ -49,5 +50,6 @@ class Video:
         for _ in range(5):
             self.send()
             if self.bench.spin(done, 3):
+                note(self.node)
                 return
         raise AssertionError(messages_of(self.node))

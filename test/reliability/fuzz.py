@@ -40,8 +40,8 @@ from reliability import clips, mutations
 
 LONGEST = 2.0  # s of CPU for one case; above, it counts as a hang
 STUCK = 60  # s after which a case is ended, on a machine that does other things, too
-BATCH = 200  # cases of one child process
 COUNTS = {'streams': 20_000, 'messages': 100_000, 'bags': 5_000, 'files': 5_000}
+CHILDREN = 20  # processes that share the cases of a target
 ODD_NUMBERS = (float('nan'), float('inf'), -float('inf'), 0.0, -1.0, 1e300, 1e-300)
 SPACE = '/dev/shm' if Path('/dev/shm').is_dir() else None
 
@@ -284,13 +284,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name, count in COUNTS.items():
         parser.add_argument(f'--{name}', type=int, default=count)
+    parser.add_argument('--first', type=int, default=0, help='case to begin with (default: 0)')
     args, bad = parser.parse_args(), 0
     for name in TARGETS:
         found, n = [], getattr(args, name)
-        for first in range(0, n, BATCH):
-            for item in child(name, first, min(BATCH, n - first)):
+        size = max(n // CHILDREN, 1)
+        for first in range(args.first, n, size):
+            for item in child(name, first, min(size, n - first)):
                 found.append(item)
                 print(f'{item.target} {item.case}: {item.text}', flush=True)
+            print(f'{name}: {min(first + size, n)} done', file=sys.stderr, flush=True)
         bad += len(found)
         print(f'{name}: {n} cases, {len(found)} findings', flush=True)
     return int(bad > 0)

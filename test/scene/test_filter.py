@@ -363,38 +363,3 @@ def test_the_same_extractions_give_the_same_bits():
     for one, two in zip(*runs, strict=True):
         np.testing.assert_array_equal(one.t_world_from_cam, two.t_world_from_cam)
         np.testing.assert_array_equal(one.pose_covariance, two.pose_covariance)
-
-
-def test_a_ratio_that_the_speed_cannot_have_made_is_not_believed():
-    canyon, filter_ = Canyon(), SceneFilter(SceneSettings())
-    driven(canyon, 10, filter_=filter_)
-    wrong = canyon.extraction(11)
-    ids = [plane.id for plane in wrong.planes]
-    for id_ in ids:
-        wrong = without(wrong, id_)
-    wrong = replace(wrong, baseline_ratio=2.5)
-    estimate, _ = filter_.step(wrong)
-    assert estimate.baseline == pytest.approx(1, rel=0.1)
-
-
-def test_a_camera_that_brakes_hard_does_not_go_backwards():
-    canyon = Canyon(way=lambda time: 0.5 * min(time, 1.0) + 0.15 * max(time - 1.0, 0.0))
-    filter_ = SceneFilter(METRIC)
-    driven(canyon, 10, filter_=filter_)
-    # Nothing but the ratio to the baseline before tells the length, and no sign.
-    shown = canyon.extraction(11)
-    bare = replace(shown, planes=(), plane_id=np.full_like(shown.plane_id, -1))
-    estimate = filter_.step(bare)[0]
-    np.testing.assert_allclose(estimate.t_world_from_cam, canyon.pose(11)[1], atol=0.002)
-
-
-def test_a_camera_that_starts_within_its_first_pair_keeps_its_unit():
-    canyon = Canyon(way=lambda time: SPEED * max(time - 0.08, 0.0))
-    unit = np.linalg.norm(canyon.pose(1)[1])
-    filter_ = SceneFilter(SceneSettings())
-    for k in range(1, 11):
-        shown = canyon.extraction(k)
-        estimate = filter_.step(replace(
-            shown, planes=(), plane_id=np.full_like(shown.plane_id, -1)))[0]
-    np.testing.assert_allclose(unit * estimate.t_world_from_cam, canyon.pose(10)[1], rtol=0.02,
-                               atol=0.05)

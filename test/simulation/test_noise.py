@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from mv_slapse.geometry.camera import to_pixels, to_rays
+from mv_slapse.records import Label
 from mv_slapse.simulation import drawn
 from mv_slapse.simulation.noise import NoisyVectors, VectorNoise
 from mv_slapse.simulation.street import Street, StreetSettings
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 NONE = VectorNoise(sigma=0.0, together=0.0, outliers=0.0, relief=0.0, surface_bias=0.0,
-                   depth_bias=0.0, offset=0.0, place=0.0, heave=0.0)
+                   depth_bias=0.0, offset=0.0, mover_lean=0.0, place=0.0, heave=0.0)
 FIRST, SECOND = 20, 24
 
 
@@ -81,6 +82,19 @@ def test_an_offset_turns_all_vectors_alike_and_lasts(street, exact):
     assert np.std(error - error.mean(axis=0)) < np.linalg.norm(np.std(means, axis=0))
     assert np.std(means, axis=0) == pytest.approx(np.full(2, 0.5), rel=0.25)
     assert np.abs(np.mean(means, axis=0)).max() > 0.1
+
+
+def test_vectors_lean_by_the_share_that_movers_have():
+    busy = Street(StreetSettings(seed=0, movers=('bus_ahead', 'bus_beside')))
+    truth = drawn.draw(busy, FIRST, SECOND, np.random.default_rng(0), 0.0, 0.0)
+    share = np.mean(truth.label == Label.MOVING)
+    assert share > 0.3
+    # Half of the variance lasts, half is the pair's.
+    leans = errors(busy, truth, 100, mover_lean=1.0).mean(axis=1)
+    assert np.std(leans, axis=0) == pytest.approx(np.full(2, np.sqrt(2) * share), rel=0.25)
+    still = Street(StreetSettings(seed=0, movers=()))
+    truth = drawn.draw(still, FIRST, SECOND, np.random.default_rng(0), 0.0, 0.0)
+    np.testing.assert_allclose(errors(still, truth, mover_lean=1.0), 0, atol=1e-4)
 
 
 def test_vectors_tell_of_a_point_beside_the_middle_of_their_block(street, exact):

@@ -2,15 +2,14 @@
 
 import shutil
 from struct import pack
-import time
-import tracemalloc
 
+import bounded
 import lz4.frame
 from mv_slapse import fields
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.storage import bounded
+from mv_slapse.storage import bounded as limits
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.bag_writer import BagWriter
 from mv_slapse.video_messages import FFMPEG_PACKET, packet_to_fields
@@ -96,17 +95,12 @@ def test_a_chunk_that_would_fill_the_memory_is_refused(tmp_path, compression, ho
     content = bomb(compression, honest)
     (tmp_path / 'a.mcap').write_bytes(content[:-20] if cut else content)
     del content
-    begin = time.process_time()
-    tracemalloc.start()
-    assert isinstance(read(tmp_path / 'a.mcap'), UnusableInput)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 150e6
-    assert time.process_time() - begin < 5
+    with bounded.refusal():
+        assert isinstance(read(tmp_path / 'a.mcap'), UnusableInput)
 
 
 def test_a_compressed_file_that_would_fill_the_disk_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(bounded, 'LARGEST', 1 << 20)
+    monkeypatch.setattr(limits, 'LARGEST', 1 << 20)
     folder = write_bag(tmp_path / 'bag', False)
     with (folder / 'bag.mcap').open('ab') as file:
         file.truncate(1 << 26)

@@ -1,16 +1,19 @@
+from contextlib import suppress
 from dataclasses import replace
 import json
 import os
+from pathlib import Path
 import subprocess
 import sys
 from types import SimpleNamespace
 
 import made_up
 from mv_slapse import fields, planner_fields
-from mv_slapse.errors import UsageError
+from mv_slapse.errors import UnusableOutput, UsageError
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.level import frames_from_transforms
 from mv_slapse.records import ScaleStatus, TrackingStatus
+from mv_slapse.storage.archives import MapArchive
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.results import ResultsWriter
 from mv_slapse.storage.tables import OBSTACLES_HEADER, PLANES_HEADER, read_table
@@ -103,6 +106,28 @@ def test_the_map_holds_every_plane_there_ever_was(tmp_path, rng):
     np.testing.assert_allclose(content['planes'][1]['normal'], last.scene.planes[0].normal)
 
 
+def test_a_plane_that_left_the_map_and_came_again_is_there_once_as_last_known(rng):
+    archive, scene = MapArchive(), made_up_step(rng, 0).scene
+    planes = [made_up.map_plane(rng, id) for id in (7, 8, 7, 9)]
+    for shown in ((0, 1), (1,), (1, 2), (3,)):
+        archive.add(replace(scene, planes=tuple(planes[i] for i in shown)))
+    found = archive.content()['planes']
+    assert [(plane['id'], plane['is_current']) for plane in found] == [
+        (8, False), (7, False), (9, True)]
+    np.testing.assert_allclose(found[1]['normal'], planes[2].normal)
+    assert archive.content()['planes'] == found
+
+
+def test_a_map_whose_planes_found_no_place_to_wait_is_refused(rng, monkeypatch):
+    archive, scene = MapArchive(), made_up_step(rng, 0).scene
+    with suppress(OSError), Path('/dev/full').open('w', buffering=1) as full:
+        monkeypatch.setattr(archive, '_left', full)
+        for id in (7, 8):
+            archive.add(replace(scene, planes=(made_up.map_plane(rng, id),)))
+        with pytest.raises(UnusableOutput, match='No space left'):
+            archive.content()
+
+
 def test_a_map_of_unknown_scale_says_so(tmp_path, rng):
     step = made_up_step(rng, 0)
     step.scene = replace(step.scene, scale_status=ScaleStatus.UNKNOWN, scale_source='')
@@ -119,8 +144,9 @@ def test_the_bag_holds_what_the_nodes_publish(out, steps):
             '/obstacles/polygons'} == set(reader.topics)
     messages = {topic: [msg for _, msg in reader.messages([topic])] for topic in reader.topics}
     assert (len(messages['/odometry']), len(messages['/planes/map'])) == (2, 4)
+    frames = frames_from_transforms(messages['/tf_static'][0].transforms)
     scene = fields.scene_from_messages(messages['/odometry'][0], messages['/planes/map'][1],
-                                       RosFrames())
+                                       frames)
     np.testing.assert_allclose(scene.t_world_from_cam, steps[1].scene.t_world_from_cam,
                                atol=1e-9)
     sure = [planner_fields.sure(step.obstacles) for step in steps]

@@ -16,6 +16,12 @@ def test_stamps_keep_their_nanoseconds():
     assert [tum.parse_stamp(tum.format_stamp(stamp)) for stamp in stamps] == stamps
 
 
+@pytest.mark.parametrize('text', ['9000000001', '-9000000001', '1e400', 'nan', 'inf', 'x', ''])
+def test_a_time_that_no_clock_shows_is_none(text):
+    with pytest.raises((ValueError, ArithmeticError)):
+        tum.parse_stamp(text)
+
+
 def test_a_trajectory_comes_back_as_it_was(rng, tmp_path):
     path = tmp_path / 'path.tum'
     stamps = np.sort(rng.integers(0, 10**18, 5))

@@ -1,5 +1,6 @@
 from itertools import pairwise
 
+import bounded
 from mv_slapse.config import Settings
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.storage import yaml_files
@@ -20,11 +21,11 @@ def test_what_could_fill_the_memory_is_refused(tmp_path, name):
     content = REFUSED[name]
     path = tmp_path / 'a.yaml'
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(ValueError, match='.'):
+    with bounded.refusal(), pytest.raises(ValueError, match='.'):
         yaml_files.load(path)
-    with pytest.raises(UnusableInput, match=str(path)):
+    with bounded.refusal(), pytest.raises(UnusableInput, match=str(path)):
         read_camera(path)
-    with pytest.raises(UsageError, match=str(path)):
+    with bounded.refusal(), pytest.raises(UsageError, match=str(path)):
         read_settings(path)
 
 

@@ -60,7 +60,7 @@ def nodes(folder: Path):
     """Start what the launch file starts for the topic of the video."""
     (folder / 'robot.yaml').write_text(PARAMETERS)
     started = fake_launch.resolve(LAUNCH_FILE, input=VIDEO, params_file=str(folder / 'robot.yaml'),
-                                  camera_info_topic='/camera/camera_info')
+                                  camera_info_topic='/camera/camera_info', all_in_one='false')
     processes = [subprocess.Popen(one.cmd, cwd=folder, stderr=subprocess.STDOUT,
                                   stdout=(folder / f'{one.executable}.log').open('wb'))
                  for one in started]

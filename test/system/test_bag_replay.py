@@ -27,6 +27,7 @@ from mv_slapse.storage.bag_reader import BagReader  # noqa: E402
 from mv_slapse.storage.camera_info import read_camera, write_camera  # noqa: E402
 from mv_slapse.storage.tum import read_trajectory, Trajectory  # noqa: E402
 from mv_slapse.tools.bag import make_bag  # noqa: E402
+from mv_slapse.tools.eval import frames_of  # noqa: E402
 from mv_slapse.tools.run import run  # noqa: E402
 import numpy as np  # noqa: E402
 import rclpy  # noqa: E402
@@ -35,6 +36,7 @@ from system.recorder import Recorder  # noqa: E402
 
 CAMERA_HEIGHT = 1.65
 N_FRAMES = 60
+SOURCE_TIMEOUT = 2.0  # [s], of the collision monitor in docs/nav2.md
 START = 100_000_000_000  # [ns] a robot's clock is not at 0
 TOPICS = {
     '/correspondences': 'mv_slapse_msgs/msg/Correspondences',
@@ -67,6 +69,7 @@ class Drive(NamedTuple):
     bag: str
     expected: Trajectory
     truth: Trajectory
+    frames: RosFrames
 
 
 @pytest.fixture(scope='module')
@@ -78,7 +81,8 @@ def drive(tmp_path_factory):
     settings = Settings(scene=SceneSettings(camera_height=CAMERA_HEIGHT))
     run(str(folder / 'bag'), None, settings, folder / 'run')
     moved = Trajectory(truth.stamps + START, truth.positions, truth.quaternions)
-    return Drive(str(folder / 'bag'), read_trajectory(folder / 'run' / 'trajectory.tum'), moved)
+    return Drive(str(folder / 'bag'), read_trajectory(folder / 'run' / 'trajectory.tum'), moved,
+                 frames_of(folder / 'run' / 'results.mcap'))
 
 
 def _kitti():
@@ -156,10 +160,10 @@ def messages(bag: BagReader, topic: str) -> dict:
     return {stamp_from_message(msg.header.stamp): msg for _, msg in bag.messages([topic])}
 
 
-def trajectory(bag: BagReader) -> Trajectory:
+def trajectory(bag: BagReader, frames: RosFrames) -> Trajectory:
     """Return the camera's trajectory in {W} from odometry and map."""
     odometry, maps = messages(bag, '/odometry'), messages(bag, '/planes/map')
-    scenes = [scene_from_messages(odometry[stamp], maps[stamp], RosFrames())
+    scenes = [scene_from_messages(odometry[stamp], maps[stamp], frames)
               for stamp in sorted(odometry)]
     return Trajectory(
         np.array([scene.stamp for scene in scenes], np.int64),
@@ -181,15 +185,16 @@ def assert_same_trajectory(found: Trajectory, expected: Trajectory):
 
 
 def test_the_four_nodes_give_the_trajectory_of_the_command_line(drive, recorded):
-    assert_same_trajectory(trajectory(recorded), drive.expected)
+    assert_same_trajectory(trajectory(recorded, drive.frames), drive.expected)
 
 
 def test_all_in_one_gives_the_same_trajectory(drive, recorded_in_one):
-    assert_same_trajectory(trajectory(recorded_in_one), drive.expected)
+    assert_same_trajectory(trajectory(recorded_in_one, drive.frames), drive.expected)
 
 
 def test_the_recorded_odometry_is_near_the_truth(drive, recorded):
-    found = evaluation.figures(evaluation.evaluate(trajectory(recorded), drive.truth))
+    ours = trajectory(recorded, drive.frames)
+    found = evaluation.figures(evaluation.evaluate(ours, drive.truth))
     expected = evaluation.figures(evaluation.evaluate(drive.expected, drive.truth))
     assert found['ate_mean_percent'] < 3.0
     assert found['ate_mean_percent'] == pytest.approx(expected['ate_mean_percent'], rel=0.2)
@@ -217,6 +222,26 @@ def test_the_transform_comes_before_the_odometry_of_its_stamp(recorded):
             assert (transform.header.frame_id, transform.child_frame_id) == ('odom', 'base_link')
         else:
             assert stamp_from_message(msg.header.stamp) in known
+
+
+def test_clouds_are_what_costmap_and_collision_monitor_ask_for(recorded):
+    """As docs/nav2.md has it: no cloud is older than source_timeout, none lacks its transform."""
+    pytest.importorskip('tf2_msgs')
+    known, stamps = set(), []
+    with_pose = set(messages(recorded, '/odometry'))
+    for raw, msg in recorded.messages(['/tf', '/obstacles/points']):
+        if raw.topic == '/tf':
+            known.add(stamp_from_message(msg.transforms[0].header.stamp))
+            continue
+        stamps.append(stamp_from_message(msg.header.stamp))
+        assert stamps[-1] in known or stamps[-1] not in with_pose
+        assert [(f.name, f.datatype) for f in msg.fields[:3]] == [(axis, 7) for axis in 'xyz']
+        assert len(msg.data) == msg.row_step == msg.point_step * msg.width
+        assert msg.header.frame_id == 'odom'
+        points = np.frombuffer(msg.data, np.float32).reshape(msg.width, msg.point_step // 4)
+        assert np.isfinite(points[:, :6]).all()
+    assert np.diff(stamps).min() > 0
+    assert np.diff(stamps).max() < SOURCE_TIMEOUT * 1e9
 
 
 def test_covariances_are_sound(recorded):

@@ -23,7 +23,7 @@ def outcomes(data, ros_domain, tmp_path_factory):
         for name in ORDER:
             assert drive.ready()
             drive.begin()
-            found[name] = kills.killed(drive, line, name, kills.respawn_delay(), True)
+            found[name] = kills.killed(drive, line, name, True)
     finally:
         codes = line.stop()
         drive.node.destroy_node()

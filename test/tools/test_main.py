@@ -89,18 +89,20 @@ def test_inspect_prints_one_object(call, clip):
     assert json.loads(out)['codec'] == 'mpeg2video'
 
 
-def test_bag_makes_one_that_run_takes(call, clip, tmp_path):
+@pytest.mark.parametrize(('given', 'start'), [(['--start', 5], 5), ([], 1)])
+def test_bag_makes_one_that_run_takes(call, clip, tmp_path, given, start):
     truth = clip.truth / 'ground_truth.tum'
     code, out, _ = call('bag', clip.video, '--camera', clip.camera, '--ground-truth', truth,
-                        '-o', tmp_path / 'bag', '--start', 5, '--max-frames', 9)
+                        '-o', tmp_path / 'bag', '--max-frames', 9, *given)
     assert code == 0
     assert '9 packets' in out
     reader = BagReader(tmp_path / 'bag')
-    assert min(packet.stamp for packet in reader.packets(reader.video_topic())) == 5 * 10**9
+    assert min(packet.stamp for packet in reader.packets(reader.video_topic())) == start * 10**9
     code, out, _ = call('run', tmp_path / 'bag', '-o', tmp_path / 'out', '--json')
     assert code == 0
-    assert json.loads(out)['first_stamp'] == 5
-    assert call('eval', tmp_path / 'out', '--ground-truth', truth, '--stamp-offset', 5)[0] == 0
+    assert json.loads(out)['first_stamp'] == start
+    assert call('eval', tmp_path / 'out', '--ground-truth', truth,
+                '--stamp-offset', start)[0] == 0
 
 
 def test_a_lost_run_ends_with_4(call, clip, tmp_path, monkeypatch):

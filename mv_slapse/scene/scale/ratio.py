@@ -48,15 +48,14 @@ def told(state: SceneState, extraction: Extraction, depths: Depths, settings: Sc
     """Move the scale of the depths by a pair's ratio; return what it tells of the baseline.
 
     Nothing where the ratio contradicts the prediction: vectors that are wrong in bulk agree in
-    depths. After a rest no length is predicted that it could contradict.
+    depths. The scale moves all the same, for the map of blocks outlasts such a pair, and the next
+    one is compared with those before it. After a rest no length is predicted to contradict.
     """
     sampling = extraction.baseline_ratio_sigma * np.sqrt(settings.depth_dependence)
     sigma, log = float(np.hypot(sampling, settings.ratio_sigma)), extraction.baseline_ratio
-    if not (np.isfinite(sigma) and (rested or holds(
-            state, log, float(np.sqrt(sigma**2 + depths.variance))))):
-        return []
+    held = rested or holds(state, log, float(np.sqrt(sigma**2 + depths.variance)))
     move(state, log, settings.ratio_drift)
-    return [observed(depths, sigma)]
+    return [observed(depths, sigma)] if held else []
 
 
 def baseline(state: SceneState, extraction: Extraction) -> float:
