@@ -238,11 +238,14 @@ def test_a_fault_is_left_by_the_next_output(bench, monkeypatch):
 def test_before_anything_has_come_out_nothing_is_ok(bench):
     node = bench.start(SlamNode, tf_wait=0.0)
     publisher = bench.advertise(PlaneObservations, 'planes/observations')
-    publisher.publish(seen(drives.steps(1)[0].extraction))
+    steps = drives.steps(2)
+    publisher.publish(seen(steps[0].extraction))
     assert bench.spin(lambda: value_of(node, 'tracking') == 'OK', 10)
     node.health.restarted()
     node.health.arrived('planes/observations')
     reaches(bench, node, 'no_output', 'nothing has come out of this node yet')
+    publisher.publish(seen(steps[1].extraction))
+    leaves(bench, node, 'no_output')
 
 
 def seen(extraction):
