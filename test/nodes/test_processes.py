@@ -2,9 +2,12 @@
 
 import os
 from pathlib import Path
+import re
 import signal
+import socket
 import subprocess
 import sys
+import tempfile
 import time
 
 import pytest
@@ -15,10 +18,12 @@ pytest.importorskip('mv_slapse_msgs')
 from conftest import ROOT  # noqa: E402
 import endings  # noqa: E402
 from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
+from mv_slapse.nodes import standby  # noqa: E402
 from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences  # noqa: E402
 from nodes import clips, fake_launch  # noqa: E402
+from rclpy.utilities import get_rmw_implementation_identifier  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker', 'all_in_one')
@@ -124,6 +129,8 @@ def test_a_node_that_is_killed_is_there_again_without_loading_anything(bench, st
     assert bench.spin(lambda: child_of(standing) not in (0, first), 30)
     second = child_of(standing)
     assert bench.spin(lambda: not Path(f'/proc/{first}').exists())
+    if get_rmw_implementation_identifier() == standby.FAST_DDS:
+        assert bench.spin(lambda: any(not standby.is_free(i) for i in standby.PARTICIPANTS), 30)
     client = bench.peer.create_client(Trigger, '/slam/reset')
     assert bench.spin(client.service_is_ready, 30)
     assert cpu_of(second) < 0.6 * cpu_of(standing.pid)  # a third is usual
@@ -132,6 +139,49 @@ def test_a_node_that_is_killed_is_there_again_without_loading_anything(bench, st
     assert standing.returncode == 0
     assert 'SIGKILL has ended the node, it is started again' in said
     assert not Path(f'/proc/{second}').exists()
+
+
+@pytest.fixture
+def no_profile(monkeypatch):
+    """What a test sets in its place is taken back as well."""
+    monkeypatch.setenv(standby.PROFILES, '')
+    monkeypatch.delenv(standby.PROFILES)
+
+
+def test_each_that_is_forked_again_has_ports_that_none_before_it_had(
+        no_profile, monkeypatch, tmp_path):
+    monkeypatch.setenv('ROS_DOMAIN_ID', '91')
+    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path))
+    ports, chosen = standby.Ports(standby.FAST_DDS), []
+    for _ in range(3):
+        ports.change()
+        profile = Path(os.environ[standby.PROFILES]).read_text()
+        chosen.append(int(re.search(r'<participantID>(\d+)<', profile)[1]))
+        if len(chosen) == 1:  # the next one is another's
+            taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            taken.bind(('', 7410 + 250 * 91 + 2 * following(chosen[0])))
+    taken.close()
+    assert chosen[1:] == [following(following(chosen[0])), following(chosen[1])]
+    ports.close()
+    assert not list(tmp_path.iterdir())
+
+
+def following(participant):
+    order = standby.PARTICIPANTS
+    return order[(order.index(participant) + 1) % len(order)]
+
+
+@pytest.mark.parametrize('own', ['variable', 'file', 'middleware'])
+def test_a_profile_of_the_users_own_is_left_alone(no_profile, monkeypatch, tmp_path, own):
+    monkeypatch.chdir(tmp_path)
+    if own == 'variable':
+        monkeypatch.setenv(standby.PROFILES, 'mine.xml')
+    elif own == 'file':
+        (tmp_path / standby.PROFILES_HERE).touch()
+    ports = standby.Ports('another' if own == 'middleware' else standby.FAST_DDS)
+    ports.change()
+    ports.close()
+    assert os.environ.get(standby.PROFILES) == ('mine.xml' if own == 'variable' else None)
 
 
 def test_a_node_does_not_outlive_the_process_left_behind(bench, standing):
