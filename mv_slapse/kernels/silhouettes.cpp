@@ -12,7 +12,7 @@
 namespace kernels {
 namespace {
 
-constexpr double SIZE = 16;         // px, of a macroblock
+constexpr double SIZE = MACROBLOCK;   // px
 constexpr double MOST_GROWTH = 0.5;  // of a mover in a pair
 
 // Centre, shift and growth (5,) of the vectors of some blocks, back in time, without those that are
@@ -66,7 +66,8 @@ py::array_t<std::int64_t> carry_cells(const py::object& seen_, const py::object&
   constexpr auto kernel = "carry_cells";
   require(width > 0 && height > 0 && width < (1 << 20) && height < (1 << 20), kernel,
           "a picture has a size");
-  const std::int64_t columns = (width + 15) / 16, rows = (height + 15) / 16;
+  const std::int64_t columns = macroblocks(static_cast<int>(width)),
+                     rows = macroblocks(static_cast<int>(height));
   const In<std::int64_t> seen(kernel, "seen", seen_, {columns * rows});
   const In<double> motion(kernel, "motion", motion_, {5}, Check::finite);
   Out<std::int64_t> out({columns * rows});

@@ -1,11 +1,8 @@
 """~/save_map and ~/save_trajectory: what slam knows, as the files of the command line."""
 
-from contextlib import suppress
 from dataclasses import replace
 import os
 from pathlib import Path
-import shutil
-from tempfile import TemporaryFile
 
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.frame_change import in_frames
@@ -16,6 +13,7 @@ from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import SceneEstimate
 from mv_slapse.storage.archives import MapArchive, write_json
 from mv_slapse.storage.tum import format_row
+from mv_slapse.storage.waiting_rows import WaitingRows
 from mv_slapse.storage.whole_files import whole
 import numpy as np
 from std_srvs.srv import Trigger
@@ -27,16 +25,15 @@ class Archive:
     def __init__(self, node: Shell):
         """Offer the services; where the files go is a read-only parameter, no request says it."""
         self._folder = _folder(node.settings[SceneOutputSettings].output_directory)
-        self._rows: _Rows | None = None
-        self.restart()
+        self._rows, self._map, self._has_planes = WaitingRows(), MapArchive(), False
         node.create_service(Trigger, '~/save_map', self._on_save_map)
         node.create_service(Trigger, '~/save_trajectory', self._on_save_trajectory)
 
     def restart(self):
         """Forget everything."""
-        if self._rows is not None:
-            self._rows.close()
-        self._rows, self._map, self._has_planes = _Rows(), MapArchive(), False
+        self._rows.close()
+        self._map.close()
+        self._rows, self._map, self._has_planes = WaitingRows(), MapArchive(), False
 
     def add(self, scene: SceneEstimate, previous_stamp: int, frames: RosFrames, origin: Pose):
         """Take the estimate of a key frame; the first pair also gives the first key frame.
@@ -63,7 +60,11 @@ class Archive:
     def _on_save_trajectory(self, _request, response):
         if not self._rows.n:
             return _nothing(response, 'there is no pose yet')
-        return self._save(response, 'trajectory.tum', self._rows.save)
+        return self._save(response, 'trajectory.tum', self._save_rows)
+
+    def _save_rows(self, path: Path):
+        with whole(path) as file:
+            file.writelines(self._rows)
 
     def _save(self, response, name: str, write):
         path = self._folder / name
@@ -76,46 +77,6 @@ class Archive:
             response.message = (f'{path} cannot be written: {error}; start the node with '
                                 'another output_directory')
         return response
-
-
-class _Rows:
-    """Rows of text; they wait on the disk, for a node may run for days.
-
-    A disk that is full ends them, and not the node: what could not wait is told when it is asked
-    for.
-    """
-
-    def __init__(self):
-        self.n = 0
-        self._error: OSError | None = None
-        try:
-            self._file = TemporaryFile('w+')  # noqa: SIM115 (as long as this)
-        except OSError as error:
-            self._file, self._error = None, error
-
-    def add(self, row: str):
-        """Keep a row, up to the first that cannot be kept."""
-        self.n += 1
-        if self._error is None:
-            try:
-                self._file.write(row + '\n')
-            except OSError as error:
-                self._error = error
-
-    def save(self, path: Path):
-        """Write all rows into a file."""
-        if self._error is not None:
-            raise self._error
-        self._file.seek(0)  # what is buffered is written before
-        with whole(path) as file:
-            shutil.copyfileobj(self._file, file)
-        self._file.seek(0, os.SEEK_END)
-
-    def close(self):
-        """Give them up; what a full disk does not take any more is not wanted either."""
-        if self._file is not None:
-            with suppress(OSError):
-                self._file.close()
 
 
 def _nothing(response, why: str):

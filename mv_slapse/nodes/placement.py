@@ -99,11 +99,8 @@ class Placement:
         return world if self._is_given else about(world)
 
     def _last(self) -> Pose:
-        start, moved = self._start, self._moved
-        turned = np.kron(np.eye(2), start.R)
-        position = start.R @ moved.t + start.t
-        return Pose(start.R @ moved.R, position,
-                    self.widened(turned @ moved.covariance @ turned.T, position))
+        last = _after(self._start, self._moved)
+        return replace(last, covariance=self.widened(last.covariance, last.t))
 
     def _on_pose(self, msg: PoseWithCovarianceStamped):
         odom = self._node.settings[FrameSettings].odom_frame

@@ -10,6 +10,7 @@ from mv_slapse.errors import UnusableInput
 from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.known_map import KnownMap
 from mv_slapse.records import Extraction, MapPlane, ScaleStatus, SceneEstimate
+from mv_slapse.storage.waiting_rows import WaitingRows
 from mv_slapse.storage.whole_files import unusable, whole, write_text
 import numpy as np
 
@@ -69,27 +70,27 @@ def _rows(file: IO, dtype: type, shape: tuple[int, int]) -> np.ndarray:
 class MapArchive:
     """The planes there ever were in the map, each as last known; the newest MOST_PLANES of them.
 
-    Those that have left the map wait on the disk, for a run may last for days. A disk that is full
-    is told when they are asked for.
+    Those that have left the map wait on the disk. A disk that is full is told when they are asked
+    for.
     """
 
     def __init__(self):
         """Hold nothing yet."""
         self._current: dict[int, MapPlane] = {}
         self._scene: SceneEstimate | None = None
-        self._error: OSError | None = None
-        self._left = TemporaryFile('w+')  # noqa: SIM115 (as long as the archive)
+        self._left = WaitingRows()
+
+    def close(self):
+        """Give up what waits."""
+        self._left.close()
 
     def add(self, scene: SceneEstimate):
         """Take the map after a key frame."""
         before, self._scene = self._current, scene
         self._current = {plane.id: plane for plane in scene.planes}
-        try:
-            for id, plane in before.items():
-                if id not in self._current:
-                    self._left.write(json.dumps(_plane_content(plane, False)) + '\n')
-        except OSError as error:
-            self._error = self._error or error
+        for id, plane in before.items():
+            if id not in self._current:
+                self._left.add(json.dumps(_plane_content(plane, False)))
 
     def content(self) -> dict[str, Any]:
         """Return what ``map.json`` holds.
@@ -99,13 +100,13 @@ class MapArchive:
         UnusableOutput
             Where the disk was full on the way.
         """
-        if self._error is not None:
-            raise unusable('the map', self._error)
-        self._left.seek(0)  # what is buffered is written before
         left = {}
-        for plane in map(json.loads, self._left):
-            left.pop(plane['id'], None)  # the newest stand last
-            left[plane['id']] = plane
+        try:
+            for plane in map(json.loads, self._left):
+                left.pop(plane['id'], None)  # the newest stand last
+                left[plane['id']] = plane
+        except OSError as error:
+            raise unusable('the map', error) from None
         content = map_content(self._scene, self._current.values())
         planes = [plane for id, plane in left.items() if id not in self._current]
         content['planes'] = [*planes, *content['planes']][-MOST_PLANES:]

@@ -82,13 +82,13 @@ class MessageLog:
 
     def write(self, step: Step):
         """Write the messages of a key frame pair, the transform before what needs it."""
-        scene, frames, stamp, put = step.scene, self._frames, step.scene.stamp, self._bag.write
+        scene, stamp, put = step.scene, step.scene.stamp, self._bag.write
         self._write_camera(stamp)
         if self._began is None or self._began[0] != scene.resets:
             self._began = scene.resets, stamp
         if scene.status in WITH_POSE:
             self._write_pose(scene)
-            frames = self._frames
+        frames = self._frames
         put('/correspondences', 'mv_slapse_msgs/msg/Correspondences',
             fields.correspondences_to_fields(step.correspondences, frames), stamp)
         put('/planes/observations', 'mv_slapse_msgs/msg/PlaneObservations',

@@ -1,5 +1,6 @@
 from contextlib import suppress
 from dataclasses import replace
+import errno
 import json
 import os
 from pathlib import Path
@@ -13,6 +14,7 @@ from mv_slapse.errors import UnusableOutput, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.level import frames_from_transforms
 from mv_slapse.records import ScaleStatus, TrackingStatus
+from mv_slapse.storage import waiting_rows
 from mv_slapse.storage.archives import MapArchive
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.results import ResultsWriter
@@ -121,11 +123,23 @@ def test_a_plane_that_left_the_map_and_came_again_is_there_once_as_last_known(rn
 def test_a_map_whose_planes_found_no_place_to_wait_is_refused(rng, monkeypatch):
     archive, scene = MapArchive(), made_up_step(rng, 0).scene
     with suppress(OSError), Path('/dev/full').open('w', buffering=1) as full:
-        monkeypatch.setattr(archive, '_left', full)
+        monkeypatch.setattr(archive._left, '_file', full)
         for id in (7, 8):
             archive.add(replace(scene, planes=(made_up.map_plane(rng, id),)))
         with pytest.raises(UnusableOutput, match='No space left'):
             archive.content()
+
+
+def test_where_no_plane_can_wait_the_map_is_refused_when_it_is_asked_for(rng, monkeypatch):
+    def refuse(_mode):
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    monkeypatch.setattr(waiting_rows, 'TemporaryFile', refuse)
+    archive = MapArchive()
+    archive.add(made_up_step(rng, 0).scene)
+    with pytest.raises(UnusableOutput, match='No space left'):
+        archive.content()
+    archive.close()
 
 
 def test_a_map_of_unknown_scale_says_so(tmp_path, rng):
