@@ -32,7 +32,7 @@ from mv_slapse.storage.tum import Trajectory
 from mv_slapse.tools import cases
 from mv_slapse.tools import evaluate as evaluation
 from mv_slapse.tools.cases import Case, Scene
-from mv_slapse.tools.eval import evaluate, read_results
+from mv_slapse.tools.eval import evaluate, Marks, read_results
 from mv_slapse.tools.rows import Cache
 from mv_slapse.tools.run import decode, replay
 import numpy as np
@@ -87,7 +87,7 @@ def ours(case: Case, folder: Path) -> Row:
     settings = Settings()
     decoded = decode(case.video, case.camera, settings)
     summary = replay(decoded, case.camera, settings, folder)
-    found = evaluate(folder, case.ground_truth, case.labels)
+    found = evaluate(folder, case.ground_truth, Marks(case.labels))
     of_movers = mover_figures(case, decoded.stamps)
     if of_movers:
         found |= of_movers(read_results(folder).labels)

@@ -174,9 +174,9 @@ def _run(recording: Recording, part: Path) -> run_summary.Summary:
     camera = read_camera(recording.camera) if recording.camera else None
     speeds = read_speeds(recording.speed, recording.input) if recording.speed else []
     history = History()
-    summary = running.run(recording.input, camera, recording.settings, part,
-                          recording.max_frames or None, topic=recording.topic or None,
-                          command=command(recording), speeds=speeds, history=history)
+    options = running.Options(recording.max_frames or None, recording.topic or None,
+                              command(recording), speeds, history)
+    summary = running.run(recording.input, camera, recording.settings, part, options)
     if recording.report:
         from mv_slapse.tools import run_report  # brings the plotting along
         run_report.write(part, summary.to_dict(), history)

@@ -1,6 +1,7 @@
 """What stands: ground, markings, rows of facades with set-backs, a far building, sky."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from mv_slapse.simulation import textures
 from mv_slapse.simulation.paths import Path
@@ -15,7 +16,17 @@ KERB = {-1: -5.4, 1: 7.6}   # edge of the road [m]
 LANES = (-1.75, 1.75, 5.2)   # markings [m]
 CROSS_STREET = 12.0   # width of a street that crosses [m]
 SKY_DISTANCE = 20000.0
+SKY_NAME = 'sky'
 SAME_PLANE = 1e-6
+
+
+class Look(NamedTuple):
+    """How a quad looks: its texture's name, shift (u, v) in tiles and shade; what lies above."""
+
+    texture: str
+    shift: tuple[float, float] = (0.0, 0.0)
+    shade: float = 1.0
+    layer: int = 0  # of quads in one plane the highest is seen
 
 
 @dataclass
@@ -30,25 +41,24 @@ class Scene:
         """Return everything that was added."""
         return stack(self._parts)
 
-    def add(self, name: str, corner, edge_u, edge_v, texture: str, *, shift=(0.0, 0.0),
-            shade: float = 1.0, layer: int = 0, sky: bool = False):
-        """Add a quad; the name is used if its plane is new."""
+    def add(self, name: str, corner, edge_u, edge_v, look: Look):
+        """Add a quad; the name is used if its plane is new, and SKY_NAME is no plane."""
         corner, edge_u, edge_v = (np.asarray(a, float) for a in (corner, edge_u, edge_v))
-        surface = SKY if sky else self._surface(name, corner, edge_u, edge_v)
-        size = textures.TILE_SIZE[texture]
-        tile = [np.linalg.norm(edge_u) / size, np.linalg.norm(edge_v) / size, *shift]
+        surface = SKY if name == SKY_NAME else self._surface(name, corner, edge_u, edge_v)
+        size = textures.TILE_SIZE[look.texture]
+        tile = [np.linalg.norm(edge_u) / size, np.linalg.norm(edge_v) / size, *look.shift]
         self._parts.append(Quads(
             corner[None], edge_u[None], edge_v[None], np.array([surface]),
-            np.array([textures.index(texture)]), np.array([tile]), np.array([shade]),
-            np.array([layer])))
+            np.array([textures.index(look.texture)]), np.array([tile]), np.array([look.shade]),
+            np.array([look.layer])))
 
     def wall(self, name: str, start: np.ndarray, end: np.ndarray, height: float, texture: str,
              rng: np.random.Generator):
         """Add an upright wall over the ground line from start to end, each (x, z)."""
         run = end - start
         self.add(name, [start[0], -height, start[1]], [run[0], 0, run[1]], [0, height, 0],
-                 texture, shift=(rng.uniform(), 1 - height / textures.TILE_SIZE[texture]),
-                 shade=rng.uniform(0.75, 1.15))
+                 Look(texture, (rng.uniform(), 1 - height / textures.TILE_SIZE[texture]),
+                      rng.uniform(0.75, 1.15)))
 
     def add_cars(self, cars: tuple[Car, ...]):
         """Add cars that never move."""
@@ -90,23 +100,24 @@ def build(path: Path, reach: float, crossings: tuple[float, ...], rng: np.random
 
 def _ground(scene: Scene, path: Path, s0: float, s1: float, rng: np.random.Generator):
     x, z = path.at((s0 + s1) / 2).position
-    scene.add('ground', [x - 400, 0, z + 400], [800, 0, 0], [0, 0, -800], 'asphalt')
+    scene.add('ground', [x - 400, 0, z + 400], [800, 0, 0], [0, 0, -800], Look('asphalt'))
     for side, kerb in KERB.items():
         outer = side * (FRONT_LINE[side] + max(SET_BACKS) + 1)
-        _strip(scene, path, (s0, s1), (kerb, outer), 'paving', 1)
-        _strip(scene, path, (s0, s1), (kerb - 0.3 * side, kerb - 0.15 * side), 'paint', 2)
+        _strip(scene, path, (s0, s1), (kerb, outer), Look('paving', layer=1))
+        _strip(scene, path, (s0, s1), (kerb - 0.3 * side, kerb - 0.15 * side),
+               Look('paint', layer=2))
     for lane in LANES:
         for s in np.arange(s0, s1, 9.0):
-            _strip(scene, path, (s, s + 3.0), (lane - 0.07, lane + 0.07), 'paint', 2)
+            _strip(scene, path, (s, s + 3.0), (lane - 0.07, lane + 0.07),
+                   Look('paint', layer=2))
     for s in np.arange(s0, s1, 7.0) + rng.uniform(0, 4, len(np.arange(s0, s1, 7.0))):
         middle, size = rng.uniform(-4, 6), rng.uniform(0.4, 1.6)
         length = rng.uniform(0.5, 3)
-        _strip(scene, path, (s, s + length), (middle, middle + size), 'patch', 1,
-               shift=tuple(rng.uniform(size=2)), shade=rng.uniform(0.75, 1.1))
+        _strip(scene, path, (s, s + length), (middle, middle + size),
+               Look('patch', tuple(rng.uniform(size=2)), rng.uniform(0.75, 1.1), 1))
 
 
-def _strip(scene: Scene, path: Path, along, across, texture: str, layer: int,
-           shift=(0.0, 0.0), shade: float = 1.0):
+def _strip(scene: Scene, path: Path, along, across, look: Look):
     """Add a strip of ground between two arc lengths and two lateral offsets [m]."""
     stations = path.stations(*along)
     for s, s_end in zip(stations[:-1], stations[1:], strict=True):
@@ -115,7 +126,7 @@ def _strip(scene: Scene, path: Path, along, across, texture: str, layer: int,
         width = abs(across[1] - across[0]) * a.right
         run = left - far
         scene.add('ground', [far[0], 0, far[1]], [width[0], 0, width[1]], [run[0], 0, run[1]],
-                  texture, layer=layer, shift=shift, shade=shade)
+                  look)
 
 
 def add_shadows(scene: Scene, path: Path, count: int, reach: float, rng: np.random.Generator):
@@ -123,13 +134,13 @@ def add_shadows(scene: Scene, path: Path, count: int, reach: float, rng: np.rand
     for s in rng.uniform(0, reach + BEYOND, count):
         left = rng.uniform(KERB[-1], 0)
         _strip(scene, path, (s, s + rng.uniform(0.5, 4)), (left, left + rng.uniform(2, 7)),
-               'patch', 3, shift=tuple(rng.uniform(size=2)), shade=rng.uniform(0.4, 0.65))
+               Look('patch', tuple(rng.uniform(size=2)), rng.uniform(0.4, 0.65), 3))
 
 
 def _row(scene: Scene, path: Path, side: int, span: tuple[float, float],
          crossings: tuple[float, ...], rng: np.random.Generator):
     """Add a row of houses on one side: -1 left, 1 right."""
-    s, before, name = span[0], None, {-1: 'left', 1: 'right'}[side]
+    s, before = span[0], None
     while s < span[1]:
         length, height = rng.uniform(9, 18), rng.uniform(7, 14)
         choices = [offset for offset in SET_BACKS if offset != before]
@@ -137,24 +148,31 @@ def _row(scene: Scene, path: Path, side: int, span: tuple[float, float],
         crossing = next((c for c in crossings if s < c + CROSS_STREET / 2 <= span[1]
                          and s + length > c - CROSS_STREET / 2), None)
         end = s + length if crossing is None else max(s + 1.0, crossing - CROSS_STREET / 2)
-        _house(scene, path, side, (s, end), offset, height, texture, name, rng)
+        _house(scene, path, side, _House((s, end), offset, height, texture), rng)
         s = end if crossing is None else crossing + CROSS_STREET / 2
         before = offset
 
 
-def _house(scene: Scene, path: Path, side: int, along, offset: float, height: float,
-           texture: str, name: str, rng: np.random.Generator):
+class _House(NamedTuple):
+    along: tuple[float, float]  # [m] of the path
+    set_back: float  # [m]
+    height: float  # [m]
+    texture: str
+
+
+def _house(scene: Scene, path: Path, side: int, house: _House, rng: np.random.Generator):
     """Add facade and both end walls of one house."""
-    lateral = side * (FRONT_LINE[side] + offset)
-    stations = path.stations(*along)
+    name = {-1: 'left', 1: 'right'}[side]
+    lateral = side * (FRONT_LINE[side] + house.set_back)
+    stations = path.stations(*house.along)
     for s, s_end in zip(stations[:-1], stations[1:], strict=True):
         scene.wall(f'{name} facade', path.at(s).beside(lateral), path.at(s_end).beside(lateral),
-                   height, texture, rng)
+                   house.height, house.texture, rng)
     deep = side * (FRONT_LINE[side] + max(SET_BACKS) + 6)
-    for s in along:
+    for s in house.along:
         place = path.at(s)
-        scene.wall(f'{name} end wall', place.beside(lateral), place.beside(deep), height,
-                   'plaster' if s == along[0] else 'brick', rng)
+        scene.wall(f'{name} end wall', place.beside(lateral), place.beside(deep), house.height,
+                   'plaster' if s == house.along[0] else 'brick', rng)
 
 
 def _sky(scene: Scene):
@@ -163,5 +181,5 @@ def _sky(scene: Scene):
     for angle in np.radians([0, 90, 180, 270]):
         ahead = np.array([np.sin(angle), 0, np.cos(angle)])
         right = np.array([np.cos(angle), 0, -np.sin(angle)])
-        scene.add('sky', d * ahead - d * right - [0, d, 0], 2 * d * right, [0, 1.5 * d, 0], 'sky',
-                  sky=True)
+        scene.add(SKY_NAME, d * ahead - d * right - [0, d, 0], 2 * d * right, [0, 1.5 * d, 0],
+                  Look('sky'))

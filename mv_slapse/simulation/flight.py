@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 from mv_slapse.config import Checked, setting
 from mv_slapse.geometry.camera import Camera, to_pixels, to_rays, undistort
-from mv_slapse.simulation.buildings import Scene
+from mv_slapse.simulation.buildings import Look, Scene
 from mv_slapse.simulation.paths import SpeedProfile
 from mv_slapse.simulation.render import Renderer
 from mv_slapse.simulation.surfaces import Quads
@@ -163,8 +163,8 @@ def _box(scene: Scene, name: str, corner, size, textures, rng):
     faces = ((corner + z, x, y), (corner, x, y), (corner, z, y), (corner + x, z, y),
              (corner + y, x, z), (corner, x, z))
     for (place, u, v), texture in zip(faces, textures, strict=True):
-        scene.add(name, place, u, v, str(texture), shift=tuple(rng.uniform(size=2)),
-                  shade=rng.uniform(0.8, 1.1))
+        scene.add(name, place, u, v, Look(
+            str(texture), tuple(rng.uniform(size=2)), rng.uniform(0.8, 1.1)))
 
 
 def _ideal(lens: Camera) -> tuple[np.ndarray, Camera]:

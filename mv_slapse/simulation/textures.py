@@ -65,9 +65,13 @@ def _cells(rng: np.random.Generator, rows: int, columns: int, joint: int,
     return value, joints
 
 
-def _windows(tile: np.ndarray, rng: np.random.Generator, rows: int, columns: int,
-             share: tuple[float, float], v0: float = 0.0, v1: float = 1.0):
-    """Draw a grid of windows over v0..v1 of a tile; ``share`` is their part of a cell (v, u)."""
+def _windows(tile: np.ndarray, rng: np.random.Generator, grid: tuple[int, int],
+             share: tuple[float, float], span: tuple[float, float] = (0.0, 1.0)):
+    """Draw windows over a span of v of a tile; ``share`` is their part of a cell (v, u).
+
+    ``grid``: rows and columns.
+    """
+    (rows, columns), (v0, v1) = grid, span
     high, wide = (v1 - v0) * SIZE / rows, SIZE / columns
     for row in range(rows):
         for column in range(columns):
@@ -117,26 +121,26 @@ def _patch(rng: np.random.Generator) -> np.ndarray:
 def _brick(rng: np.random.Generator) -> np.ndarray:
     value, joints = _cells(rng, 64, 32, 2, bond=True)
     tile = 105 + 7 * value + 25 * joints + 5 * noise(rng, 1.0)
-    _windows(tile, rng, 3, 3, (0.55, 0.42))
+    _windows(tile, rng, (3, 3), (0.55, 0.42))
     return tile
 
 
 def _plaster(rng: np.random.Generator) -> np.ndarray:
     tile = 165 + 5 * noise(rng, 1.1) + 2 * noise(rng, 0.4) - 4 * (noise(rng, 1.0, 0.1) > 1.5)
-    _windows(tile, rng, 3, 3, (0.5, 0.36))
+    _windows(tile, rng, (3, 3), (0.5, 0.36))
     return tile
 
 
 def _office(rng: np.random.Generator) -> np.ndarray:
     tile = 140 + 4 * noise(rng, 1.0)
-    _windows(tile, rng, 4, 6, (0.62, 0.74))
+    _windows(tile, rng, (4, 6), (0.62, 0.74))
     return tile
 
 
 def _shops(rng: np.random.Generator) -> np.ndarray:
     tile = 150 + 5 * noise(rng, 1.0) + 2 * noise(rng, 0.3)
-    _windows(tile, rng, 3, 5, (0.5, 0.4), 0.0, 0.72)
-    _windows(tile, rng, 1, 4, (0.8, 0.85), 0.8, 1.0)
+    _windows(tile, rng, (3, 5), (0.5, 0.4), (0.0, 0.72))
+    _windows(tile, rng, (1, 4), (0.8, 0.85), (0.8, 1.0))
     for left in range(0, SIZE, SIZE // 4):
         sign = tile[int(0.735 * SIZE):int(0.79 * SIZE), left + 12:left + SIZE // 4 - 12]
         sign[:] = rng.uniform(50, 220)
@@ -149,13 +153,13 @@ def _shops(rng: np.random.Generator) -> np.ndarray:
 def _panels(rng: np.random.Generator) -> np.ndarray:
     value, joints = _cells(rng, 16, 8, 4)
     tile = 150 + 7 * value - 35 * joints + 4 * noise(rng, 1.0, 0.2)
-    _windows(tile, rng, 4, 2, (0.4, 0.6))
+    _windows(tile, rng, (4, 2), (0.4, 0.6))
     return tile
 
 
 def _tower(rng: np.random.Generator) -> np.ndarray:
     tile = 135 + 5 * noise(rng, 1.0)
-    _windows(tile, rng, 7, 8, (0.6, 0.6))
+    _windows(tile, rng, (7, 8), (0.6, 0.6))
     return tile
 
 

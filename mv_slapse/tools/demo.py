@@ -17,6 +17,7 @@ from mv_slapse.tools import eval as evaluation
 from mv_slapse.tools import report
 from mv_slapse.tools.plain import plain
 from mv_slapse.tools.progress import progress_bar
+from mv_slapse.tools.run import Options
 from mv_slapse.tools.run import run as run_video
 from mv_slapse.tools.run_summary import lost_message, Summary
 import numpy as np
@@ -85,7 +86,7 @@ def run(output: Path, seed: int = 0, quick: bool = False, progress: Progress | N
     write_video(video, _reported(images, 2 * n_frames, progress), street.settings.fps, ENCODING)
     chosen = Settings(scene=SceneSettings(camera_height=street.settings.camera_height))
     command = f'mv_slapse demo -o {output} --seed {seed}' + ' --quick' * quick
-    summary = run_video(video, street.camera, chosen, output, command=command,
+    summary = run_video(video, street.camera, chosen, output, Options(command=command),
                         progress=_second_half(n_frames, progress))
     figures = evaluation.evaluate(output, output / 'truth')
     stamped = {street.stamp(i): image for i, image in kept.items()}

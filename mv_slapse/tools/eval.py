@@ -44,28 +44,35 @@ class Results:
         return self.summary.get('scale_status') == 'metric'
 
 
-def evaluate(out: str | Path, ground_truth: str | Path | None = None,
-             labels: str | Path | None = None, boxes: str | Path | None = None,
-             stamp_offset: float = 0.0, fps: float | None = None,
-             annotation: str | Path | None = None) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Marks:
+    """Files in which somebody marked movers in the pictures."""
+
+    labels: str | Path | None = None  # motion_labels.npz
+    boxes: str | Path | None = None  # boxes.csv
+    annotation: str | Path | None = None  # annotation.json, of the last frame
+    # of the frames that labels and boxes count [1/s]; as in the run's summary by default
+    fps: float | None = None
+
+
+def evaluate(out: str | Path, ground_truth: str | Path | None = None, marks: Marks = Marks(),
+             stamp_offset: float = 0.0) -> dict[str, Any]:
     """Return all figures that the given truth allows, by the names that ``eval --json`` prints.
 
     Parameters
     ----------
     out : folder of a run
     ground_truth : trajectory file, or a folder as the simulator writes it
-    labels, boxes : motion_labels.npz, boxes.csv
+    marks : files of movers in the pictures
     stamp_offset : float
         Taken off the run's stamps before they are compared [s].
-    fps : float or None
-        Rate of the frames that labels and boxes count [1/s]; as in the run's summary by default.
-    annotation : annotation.json of the last frame
 
     Raises
     ------
     UsageError, UnusableInput
         Where there is no truth, or a file cannot be read.
     """
+    labels, boxes, annotation = marks.labels, marks.boxes, marks.annotation
     if all(given is None for given in (ground_truth, labels, boxes, annotation)):
         raise UsageError('there is nothing to compare with; give --ground-truth, --labels, '
                          '--boxes or --annotation')
@@ -97,13 +104,13 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None,
     course = planner.Course(results.trajectory, scale if known else None)
     if boxes is None and annotation is None:  # those tell of one vehicle among others
         movers = truth.movers if labels is None else detection.point_boxes(
-            _read_points(results, labels, fps))
+            _read_points(results, labels, marks.fps))
         figures |= planner.figures(results.obstacles, results.labels.stamps, movers, course)
     if annotation is not None:
         figures |= annotations.figures(
             results.obstacles, int(results.labels.stamps.max(initial=0)), results.trajectory,
             _read_annotation(annotation), results.is_metric)
-    return figures | _label_figures(results, labels, boxes, fps)
+    return figures | _label_figures(results, marks)
 
 
 def read_covariances(out: str | Path, stamp_offset: float = 0.0) -> tracking.Covariances:
@@ -216,16 +223,15 @@ def _plane_figures(results: Results, truth: Truth, scale: float) -> dict[str, An
                                           labels))
 
 
-def _label_figures(results: Results, labels: str | Path | None, boxes: str | Path | None,
-                   fps: float | None) -> dict[str, Any]:
+def _label_figures(results: Results, marks: Marks) -> dict[str, Any]:
     figures = {}
-    if labels is not None:
-        points = _read_points(results, labels, fps)
+    if marks.labels is not None:
+        points = _read_points(results, marks.labels, marks.fps)
         figures |= detection.point_figures(results.labels, points)
-    if boxes is not None:
-        table = read_table(boxes, 'frame,x,y,width,height')
+    if marks.boxes is not None:
+        table = read_table(marks.boxes, 'frame,x,y,width,height')
         figures |= detection.box_figures(results.obstacles, results.labels.stamps, table,
-                                         _rate(results, fps))
+                                         _rate(results, marks.fps))
     return figures
 
 

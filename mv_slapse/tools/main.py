@@ -223,8 +223,9 @@ def _run(args: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C: files closed
     with progress_bar(args.quiet or args.json) as progress:
         history = History()
-        summary = run.run(args.input, camera, settings, args.output, args.max_frames, progress,
-                          args.topic, args.command_line, speeds, history, args.map, args.packets)
+        options = run.Options(args.max_frames, args.topic, args.command_line, speeds, history,
+                              args.map, args.packets)
+        summary = run.run(args.input, camera, settings, args.output, options, progress)
     _print(args, summary.to_dict(), run_summary.text(summary, args.output))
     if not args.no_report:
         from mv_slapse.tools import run_report
@@ -247,8 +248,8 @@ def _batch(args: argparse.Namespace) -> int:
 
 def _eval(args: argparse.Namespace) -> int:
     from mv_slapse.tools import eval as evaluation
-    figures = evaluation.evaluate(args.results, args.ground_truth, args.labels, args.boxes,
-                                  args.stamp_offset, args.fps, args.annotation)
+    marks = evaluation.Marks(args.labels, args.boxes, args.annotation, args.fps)
+    figures = evaluation.evaluate(args.results, args.ground_truth, marks, args.stamp_offset)
     _print(args, figures, evaluation.text(figures))
     if args.plot:
         evaluation.plot(args.plot, args.results, args.ground_truth, args.stamp_offset)

@@ -24,7 +24,7 @@ from mv_slapse.config import SceneSettings, Settings
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.records import Correspondences
 from mv_slapse.tools.cases import Case, Scene
-from mv_slapse.tools.eval import evaluate
+from mv_slapse.tools.eval import evaluate, Marks
 from mv_slapse.tools.plain import plain
 from mv_slapse.tools.run import decode, Decoded, replay
 
@@ -136,8 +136,8 @@ def measure(case: Case, cache: Cache) -> Figures:
                              case.speeds)
             figures: Figures = {'n_poses': summary.poses}
             if case.ground_truth or case.labels or case.boxes or case.annotation:
-                figures |= evaluate(folder, case.ground_truth, case.labels, case.boxes,
-                                    annotation=case.annotation)
+                marks = Marks(case.labels, case.boxes, case.annotation)
+                figures |= evaluate(folder, case.ground_truth, marks)
         except MvSlapseError as error:
             return {'error': str(error)}
     return figures | {'cpu_ms': 1e3 * summary.cpu_seconds['total'] / max(summary.frames, 1)}

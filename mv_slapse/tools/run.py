@@ -4,7 +4,7 @@ from array import array
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from importlib import metadata
 from itertools import islice
 from pathlib import Path
@@ -69,32 +69,29 @@ class Decoded(NamedTuple):
     cpu_seconds: float
 
 
+@dataclass(frozen=True)
+class Options:
+    """What a run may be told beside its settings."""
+
+    max_frames: int | None = None  # stop after so many pictures
+    topic: str | None = None  # of the video, in a bag that has several
+    command: str = ''  # for the record
+    speeds: Iterable[Speed] = ()  # of the vehicle, by the video's clock: the scale is metric then
+    history: History | None = None  # is told of each key frame
+    # map.json of an earlier run, in whose frame the results are where it is found again
+    known_map: str | Path | None = None
+    with_packets: bool = False  # put the packets of the video into results.mcap, too
+
+
 def run(input: str | Path, camera: Camera | None, settings: Settings, output: str | Path,
-        max_frames: int | None = None, progress: Progress | None = None,
-        topic: str | None = None, command: str = '', speeds: Iterable[Speed] = (),
-        history: History | None = None, known_map: str | Path | None = None,
-        with_packets: bool = False) -> Summary:
+        options: Options = Options(), progress: Progress | None = None) -> Summary:
     """Run everything on a video file, a URL or a bag and write the folder of results.
 
     Parameters
     ----------
     camera : Camera or None
         None takes the calibration that comes with a bag.
-    max_frames : int or None
-        Stop after so many pictures.
     progress : function of (pictures done, pictures in all or 0), or None
-    topic : str or None
-        Video topic of a bag that has several.
-    command : str
-        For the record.
-    speeds : iterable of Speed
-        Of the vehicle, with the stamps of the video's clock; these make the scale metric.
-    history : History or None
-        Is told of each key frame.
-    known_map : str, Path or None
-        ``map.json`` of an earlier run, in whose frame the results are where it is found again.
-    with_packets : bool
-        Put the packets of the video into ``results.mcap``, too.
 
     Raises
     ------
@@ -104,15 +101,12 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
     UsageError
         Where arguments contradict one another, or the output cannot be written.
     """
-    with open_input(str(input), topic, settings.encoder) as source:
+    with open_input(str(input), options.topic, settings.encoder) as source:
         camera = _camera(camera, source, str(input))
-        session = _Session(source, str(input), camera, settings, speeds)
-        session.history, session.placing = history, Placing(known_map)
-        session.with_packets = with_packets
-        session.summary.command = command
+        session = _Session(source, str(input), camera, settings, options)
         with ResultsWriter(output, camera=camera) as writer:
             try:
-                session.play(writer, max_frames, progress)
+                session.play(writer, progress)
             except KeyboardInterrupt:
                 session.summary.interrupted = True
                 session.summary.warnings.append('interrupted; the results end there')
@@ -140,7 +134,8 @@ def decode(input: str | Path, camera: Camera, settings: Settings) -> Decoded:
 def replay(decoded: Decoded, camera: Camera, settings: Settings, output: str | Path,
            speeds: Iterable[Speed] = ()) -> Summary:
     """Run everything on correspondences and write the folder of results, as ``run`` would."""
-    session = _Session(VideoInput(iter(())), decoded.input, camera, settings, speeds)
+    session = _Session(VideoInput(iter(())), decoded.input, camera, settings,
+                       Options(speeds=speeds))
     with ResultsWriter(output, camera=camera) as writer:
         session.replay(decoded, writer)
         writer.close(session.finish())
@@ -151,8 +146,9 @@ class _Session:
     """A run in progress."""
 
     def __init__(self, source: VideoInput, name: str, camera: Camera, settings: Settings,
-                 speeds: Iterable[Speed]):
-        self._speeds = deque(sorted(speeds, key=lambda speed: speed.stamp))
+                 options: Options):
+        self._options = options
+        self._speeds = deque(sorted(options.speeds, key=lambda speed: speed.stamp))
         self._told_of = [speed.stamp / 1e9 for speed in self._speeds]
         self._source, self._camera, self._settings = source, camera, settings
         self._clock = CpuClock()
@@ -163,18 +159,17 @@ class _Session:
         self._planes: set[int] = set()
         self._obstacles: set[int] = set()
         self._stamps = array('q')
-        self.history: History | None = None
-        self.placing = Placing(None)
-        self.with_packets = False
-        self.summary = Summary(name)
+        self._placing = Placing(options.known_map)
+        self.summary = Summary(name, command=options.command)
 
-    def play(self, writer: ResultsWriter, max_frames: int | None, progress: Progress | None):
+    def play(self, writer: ResultsWriter, progress: Progress | None):
         """Take the packets one after another, as a robot would."""
+        max_frames = self._options.max_frames
         total = min(filter(None, (self._source.n_frames, max_frames)), default=0)
         packets = islice(self._source.packets, max_frames)
         # reading is charged to decoding: it may be a decoder and an encoder of their own
         while (packet := self._decode(next, packets, None)) is not None:
-            if self.with_packets:
+            if self._options.with_packets:
                 with self._clock.stage('write'):
                     writer.write_packet(packet)
             self._take(self._decode(self._decoder.feed, packet), writer)
@@ -184,7 +179,7 @@ class _Session:
             if progress:
                 progress(self.summary.frames, total)
         self._take(self._decode(self._decoder.flush), writer)
-        self._write(self.placing.rest(), writer)
+        self._write(self._placing.rest(), writer)
 
     def replay(self, decoded: Decoded, writer: ResultsWriter):
         """Take correspondences that were decoded before."""
@@ -198,8 +193,8 @@ class _Session:
         summary, camera = self.summary, self._camera
         summary.fps = _rate(np.sort(self._stamps))
         summary.planes, summary.obstacles_confirmed = len(self._planes), len(self._obstacles)
-        summary.known_map = self.placing.content()
-        summary.warnings = [*self._source.warnings, *summary.warnings, *self.placing.warnings()]
+        summary.known_map = self._placing.content()
+        summary.warnings = [*self._source.warnings, *summary.warnings, *self._placing.warnings()]
         self._check_clocks()
         for name, counter in self._counts.items():
             setattr(summary, name, dict(counter.most_common()))
@@ -233,16 +228,16 @@ class _Session:
         for pair in pairs:
             self._check_size(pair)
             step = self._slapse.step(pair, self._told(pair.stamp))
-            self._write(self.placing.add(step), writer)
+            self._write(self._placing.add(step), writer)
 
     def _write(self, steps: list[Step], writer: ResultsWriter):
         for step in steps:
             with self._clock.stage('write'):
-                writer.origin = self.placing.origin
+                writer.origin = self._placing.origin
                 writer.write(step)
             self._count(step)
-            if self.history:
-                self.history.add(step)
+            if self._options.history:
+                self._options.history.add(step)
 
     def _check_size(self, pair: Correspondences):
         """Refuse pictures that the calibration is not of, from the first or a later one on."""

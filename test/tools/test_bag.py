@@ -8,7 +8,7 @@ from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.storage.tum import read_trajectory, Trajectory
 from mv_slapse.tools import bag as tool
-from mv_slapse.tools.run import run
+from mv_slapse.tools.run import Options, run
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -86,8 +86,9 @@ def test_the_first_true_pose_is_the_origin_of_odom(clip, rng, tmp_path):
 
 def test_a_run_on_the_bag_equals_the_run_on_the_file(clip, bag, tmp_path):
     camera = read_camera(clip.camera)
-    run(clip.video, camera, Settings(), tmp_path / 'file', max_frames=12)
-    run(bag[0]._path, None, Settings(), tmp_path / 'bag', max_frames=12)
+    run(clip.video, camera, Settings(), tmp_path / 'file',
+        Options(max_frames=12))
+    run(bag[0]._path, None, Settings(), tmp_path / 'bag', Options(max_frames=12))
     a, b = (read_trajectory(tmp_path / name / 'trajectory.tum') for name in ('file', 'bag'))
     np.testing.assert_array_equal(a.stamps + START, b.stamps)
     np.testing.assert_array_equal(a.positions, b.positions)

@@ -71,7 +71,8 @@ def test_labelled_points_and_boxes_are_scored(clip, tmp_path):
     np.savez(tmp_path / 'labels.npz', tracks=x, visible=np.ones((30, 21), bool),
              label=np.repeat([1, 2], 15))
     (tmp_path / 'boxes.csv').write_text('frame,x,y,width,height\n0,1,1,9,9\n2,1,1,9,9\n')
-    figures = tool.evaluate(clip.out, None, tmp_path / 'labels.npz', tmp_path / 'boxes.csv')
+    figures = tool.evaluate(clip.out, None, tool.Marks(
+        tmp_path / 'labels.npz', tmp_path / 'boxes.csv'))
     assert figures['movers_total'] == 1
     assert figures['boxes_total'] >= 1
     assert figures['stationary_called_moving_percent'] is not None
@@ -102,11 +103,11 @@ def test_an_annotation_is_scored_against_the_last_key_frame(clip, tmp_path):
     path = tmp_path / 'annotation.json'
     path.write_text('[{"velocity": [0, 0], "position": [9, 0], '
                     '"bbox": {"top": 1, "left": 1, "bottom": 3, "right": 3}}]')
-    figures = tool.evaluate(clip.out, annotation=path)
+    figures = tool.evaluate(clip.out, marks=tool.Marks(annotation=path))
     assert (figures['annotated_vehicles'], figures['annotated_vehicles_met']) == (1, 0)
     path.write_text('[{}]')
     with pytest.raises(UnusableInput, match='annotation of vehicles'):
-        tool.evaluate(clip.out, annotation=path)
+        tool.evaluate(clip.out, marks=tool.Marks(annotation=path))
 
 
 def test_without_any_truth_there_is_nothing_to_do(clip):
@@ -118,7 +119,7 @@ def test_a_rate_is_needed_to_count_frames(out, tmp_path):
     (out / 'summary.json').unlink()
     (tmp_path / 'boxes.csv').write_text('frame,x,y,width,height\n')
     with pytest.raises(UsageError, match='--fps'):
-        tool.evaluate(out, boxes=tmp_path / 'boxes.csv')
+        tool.evaluate(out, marks=tool.Marks(boxes=tmp_path / 'boxes.csv'))
 
 
 def test_a_folder_without_results_is_refused(clip, tmp_path):

@@ -5,7 +5,7 @@ import json
 from mv_slapse.config import SceneSettings, Settings
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.storage.tum import read_trajectory
-from mv_slapse.tools.run import run
+from mv_slapse.tools.run import Options, run
 import numpy as np
 
 ENOUGH = 108  # pictures, to beyond where the wall ahead is seen
@@ -33,9 +33,10 @@ def test_what_is_no_map_is_refused(clip, call, tmp_path):
 def test_a_real_street_in_another_encoding_is_found_again(data, tmp_path):
     folder, settings = data / 'kitti00', Settings(scene=SceneSettings(camera_height=1.65))
     camera = read_camera(folder / 'camera.yaml')
-    run(folder / 'mpeg2.mpg', camera, settings, tmp_path / 'first', ENOUGH)
-    summary = run(folder / 'h264_lowlatency.mp4', camera, settings, tmp_path / 'again', ENOUGH,
-                  known_map=tmp_path / 'first' / 'map.json')
+    run(folder / 'mpeg2.mpg', camera, settings, tmp_path / 'first',
+        Options(max_frames=ENOUGH))
+    summary = run(folder / 'h264_lowlatency.mp4', camera, settings, tmp_path / 'again',
+                  Options(max_frames=ENOUGH, known_map=tmp_path / 'first' / 'map.json'))
     assert summary.known_map['found'], summary.known_map
     found = read_trajectory(tmp_path / 'again' / 'trajectory.tum')
     first = read_trajectory(tmp_path / 'first' / 'trajectory.tum')

@@ -43,7 +43,8 @@ def test_each_stage_has_its_share_of_cpu(summary):
 
 def test_a_run_stops_where_it_is_told(clip, tmp_path):
     seen = []
-    summary = tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path, max_frames=5,
+    summary = tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path,
+                       tool.Options(max_frames=5),
                        progress=lambda done, total: seen.append((done, total)))
     assert summary.frames == 5
     assert [done for done, _ in seen] == [1, 2, 3, 4, 5]
@@ -51,13 +52,15 @@ def test_a_run_stops_where_it_is_told(clip, tmp_path):
 
 def test_the_rate_is_right_where_the_last_pictures_are_missing(clip, tmp_path):
     # the packets of a B frame's two neighbours come before it
-    summary = tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path, max_frames=6)
+    summary = tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path,
+                       tool.Options(max_frames=6))
     assert summary.fps == pytest.approx(15)
 
 
 def test_two_runs_write_the_same_files(clip, tmp_path):
     for name in ('a', 'b'):
-        tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path / name, max_frames=9)
+        tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path / name,
+                 tool.Options(max_frames=9))
     for name in ('trajectory.tum', 'planes.csv', 'obstacles.csv', 'labels.npz', 'map.json',
                  'results.mcap'):
         assert (tmp_path / 'a' / name).read_bytes() == (tmp_path / 'b' / name).read_bytes(), name
