@@ -1,4 +1,4 @@
-"""What was found, drawn into a picture: coloured blocks, boxes with id, speed, time to contact."""
+"""What was found, drawn into a picture: blocks, planes, boxes with id, speed, time to contact."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -54,16 +54,23 @@ def draw(image: np.ndarray, centres: np.ndarray, label: np.ndarray, plane: np.nd
     Returns
     -------
     drawn : (H, W, 3) uint8
-        BGR; blocks are green and blue by their plane, red where they move.
+        BGR; blocks are coloured and outlined by their plane, red where they move.
     """
     image = np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image
-    paint = np.zeros(image.shape, np.float32)
+    paint, ids = np.zeros(image.shape, np.float32), np.full(image.shape[:2], -1, np.int32)
     half = MACROBLOCK // 2
-    for (x, y), value in zip(centres.round().astype(int), _colours(label, plane), strict=True):
+    on_plane = np.where(label == Label.STATIONARY, plane, -1)
+    for (x, y), value, id_ in zip(centres.round().astype(int), _colours(label, plane), on_plane,
+                                  strict=True):
         if value.any():
-            paint[max(y - half, 0):y + half, max(x - half, 0):x + half] = value
+            block = slice(max(y - half, 0), y + half), slice(max(x - half, 0), x + half)
+            paint[block], ids[block] = value, id_
     shown = paint.any(axis=2, keepdims=True) * STRENGTH
     drawn = np.ascontiguousarray((image * (1 - shown) + paint * shown).astype(np.uint8))
+    for id_ in np.unique(on_plane[on_plane >= 0]):
+        around, _ = cv2.findContours((ids == id_).astype(np.uint8), cv2.RETR_EXTERNAL,
+                                     cv2.CHAIN_APPROX_SIMPLE)
+        cv2.drawContours(drawn, around, -1, PLANES[id_ % len(PLANES)], 2)
     for box in boxes:
         _draw_box(drawn, box, unit)
     return drawn
