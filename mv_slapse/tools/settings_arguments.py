@@ -3,6 +3,7 @@
 import ast
 from collections.abc import Iterable
 from dataclasses import fields, replace
+import difflib
 from pathlib import Path
 from typing import Any
 
@@ -54,15 +55,17 @@ def override(settings: Settings, assignments: Iterable[str]) -> Settings:
 
 def change(settings: Settings, name: str, value: Any) -> Settings:
     """Return settings of which one, ``section.name``, has another value."""
+    known = [f'{part.name}.{field.name}' for part in fields(settings)
+             for field in fields(getattr(settings, part.name))]
+    if name not in known:
+        near = difflib.get_close_matches(name, known, 3)
+        raise UsageError(f'there is no setting {name}; '
+                         + (f'did you mean {" or ".join(near)}?' if near else
+                            'docs/parameters.md lists all'))
     section, _, item = name.partition('.')
-    sections = [field.name for field in fields(settings)]
-    if section not in sections:
-        raise UsageError(f'there is no setting {name}; sections are {", ".join(sections)}')
     part = getattr(settings, section)
-    known = {field.name: getattr(part, field.name) for field in fields(part)}
-    if item not in known:
-        raise UsageError(f'there is no setting {name}; {section} has {", ".join(known)}')
-    return replace(settings, **{section: replace(part, **{item: _as(name, value, known[item])})})
+    new = _as(name, value, getattr(part, item))
+    return replace(settings, **{section: replace(part, **{item: new})})
 
 
 def _sections(content: dict) -> Iterable[tuple[str, dict]]:

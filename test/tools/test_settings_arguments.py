@@ -20,8 +20,10 @@ def test_truth_values_are_written_as_in_yaml():
 
 @pytest.mark.parametrize(('text', 'message'), [
     ('scene.camera_height', 'section.name=value'),
-    ('camera.height=1', 'no setting camera.height; sections are encoder'),
-    ('scene.hight=1', 'no setting scene.hight; scene has camera_height'),
+    ('scene.camera_hight=1', 'no setting scene.camera_hight; did you mean scene.camera_height'),
+    ('scen.gate=1', 'no setting scen.gate; did you mean scene.gate'),
+    ('gate=1', 'no setting gate; '),
+    ('xyz.q=1', 'no setting xyz.q; docs/parameters.md lists all'),
     ('scene.camera_height=tall', "takes a float, not 'tall'"),
     ('extraction.min_macroblocks=2.5', 'takes a int, not 2.5'),
     ('scene.camera_height=-1', r'camera_height = -1.0 is out of bounds')])
