@@ -8,6 +8,7 @@ import select
 from typing import BinaryIO
 
 import av
+from mv_slapse.codec.frames import WITH_VECTORS
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
 
@@ -23,7 +24,7 @@ class Source:
     Attributes
     ----------
     codec : str
-        FFmpeg's name of the decoder.
+        FFmpeg's name of the decoder that exports vectors, else of the codec.
     width, height : int
         Picture size [px].
     fps : float
@@ -39,7 +40,9 @@ class Source:
         self._container = container
         self._stream = container.streams.video[0]
         context = self._stream.codec_context
-        self.codec = self._stream.codec.name
+        codec = self._stream.codec
+        # libdav1d is a decoder of AV1 among others
+        self.codec = codec.name if codec.name in WITH_VECTORS else codec.canonical_name
         self.width, self.height = context.width, context.height
         self._rate = self._stream.average_rate or self._stream.guessed_rate
         self.fps = float(self._rate or 0)

@@ -6,6 +6,7 @@ from itertools import islice
 from typing import Any
 
 from mv_slapse.codec.packet import Packet
+from mv_slapse.config import EncoderSettings
 from mv_slapse.errors import UnusableInput
 from mv_slapse.tools.inputs import is_from_bag, open_input, RECODED
 from mv_slapse.tools.probe import probe, UNUSABLE, USABLE, WITH_CARE
@@ -31,22 +32,22 @@ class _Stream:
         return iter(self.coded)
 
 
-def inspect(name: str, topic: str | None = None, max_frames: int = 300) -> dict[str, Any]:
-    """Return the findings about a video file, a URL or the video topic of a bag.
+def inspect(name: str, topic: str | None = None, max_frames: int = 300,
+            encoder: EncoderSettings | None = None) -> dict[str, Any]:
+    """Return the findings about a video file, a URL, a folder of pictures or a bag's video topic.
 
     Raises
     ------
     UnusableInput, UsageError
         Where there is no such input, or no video with motion vectors in it.
     """
-    with open_input(name, topic) as source:
+    with open_input(name, topic, encoder) as source:
         packets = list(islice(source.packets, max_frames))
         if not packets and is_from_bag(name, topic):
             raise UnusableInput(f'{name}: the video topic has no messages')
-        size = source.size or ((source.camera.width, source.camera.height) if source.camera
-                               else (0, 0))
         codec = packets[0].codec if packets else ''
-        found = probe(_Stream(codec, *size, source.fps or _rate(packets), packets), max_frames)
+        found = probe(_Stream(codec, *(source.size or (0, 0)), source.fps or _rate(packets),
+                              packets), max_frames)
         recoded = source.recoder.recoded
         if recoded:
             found = replace(found, codec=recoded, verdict=max(

@@ -159,12 +159,13 @@ def _add_eval(commands: Any) -> argparse.ArgumentParser:
 
 def _add_inspect(commands: Any) -> argparse.ArgumentParser:
     command = commands.add_parser('inspect', help='tell whether a video can be used')
-    command.set_defaults(function=_inspect)
+    command.set_defaults(function=_inspect, camera_height=None)
     command.add_argument('input', metavar='INPUT',
                          help='video file, URL, folder of pictures or bag')
     command.add_argument('--topic', help='video topic of a bag that has several')
     command.add_argument('--max-frames', type=_count, default=300, metavar='N',
                          help='look at N pictures (default: %(default)s)')
+    _add_settings(command)
     command.add_argument('--json', action='store_true', help='print one JSON object')
     return command
 
@@ -258,7 +259,8 @@ def _eval(args: argparse.Namespace) -> int:
 
 def _inspect(args: argparse.Namespace) -> int:
     from mv_slapse.tools import inspect
-    report = inspect.inspect(args.input, args.topic, args.max_frames)
+    report = inspect.inspect(args.input, args.topic, args.max_frames,
+                             _settings(args).encoder)
     _print(args, report, inspect.text(report))
     return 0 if inspect.is_usable(report) else 3
 

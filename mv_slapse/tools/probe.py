@@ -52,7 +52,9 @@ def probe(source: Source, max_frames: int = 300) -> Probe:
     findings = _findings(frames, vectors, references, runs, decoder.interlaced, untrue)
     verdict = UNUSABLE if any(item[0] for item in findings) else (
         WITH_CARE if findings else USABLE)
-    return Probe(source.codec, source.width, source.height, source.fps, len(frames),
+    width, height = ((frames[0].width, frames[0].height) if frames
+                     else (source.width, source.height))
+    return Probe(source.codec, width, height, source.fps, len(frames),
                  max(references, 1), max(runs, default=0), _gop(frames), vectors, share,
                  decoder.interlaced, verdict, tuple(item[1] for item in findings),
                  tuple(item[2] for item in findings))

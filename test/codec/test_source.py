@@ -31,6 +31,21 @@ def test_codec_size_and_rate_are_told(video):
         assert source.fps == pytest.approx(25)
 
 
+@pytest.mark.parametrize(('encoder', 'codec'), [('libsvtav1', 'av1'), ('libx265', 'hevc')])
+def test_a_codec_has_its_own_name_not_that_of_its_decoder(tmp_path, rng, encoder, codec):
+    with av.open(str(tmp_path / 'a.mkv'), 'w') as container:
+        stream = container.add_stream(encoder, rate=25)
+        stream.width, stream.height, stream.pix_fmt = 256, 192, 'yuv420p'
+        stream.options = {'preset': '12'} if encoder == 'libsvtav1' else {
+            'x265-params': 'log-level=none'}
+        for image in pictures.sliding(rng, 3, (2, 1)):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, 'gray').reformat(
+                format='yuv420p')))
+        container.mux(stream.encode(None))
+    with open_source(tmp_path / 'a.mkv') as source:
+        assert source.codec == codec
+
+
 def test_a_file_without_times_gets_them_from_the_rate(tmp_path, rng):
     path = tmp_path / 'raw.h264'
     write_video(path, pictures.sliding(rng, 5, (2, 1)), 25, LOW_LATENCY)

@@ -1,7 +1,11 @@
-from mv_slapse.codec.encoding.encoder import Encoding, write_video
+import json
+
+import cv2
+from mv_slapse.codec.encoding.encoder import Encoding, pictures, write_video
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.tools import inspect as tool
 from mv_slapse.tools.bag import make_bag
+from mv_slapse.tools.main import main
 import numpy as np
 import pytest
 
@@ -32,3 +36,15 @@ def test_an_unusable_video_is_told_why_and_what_to_do(tmp_path):
     assert not tool.is_usable(report)
     assert '48 motion vectors a picture are too few' in text
     assert 'do this: use a larger picture' in text
+
+
+def test_a_folder_of_pictures_is_inspected_at_the_rate_that_is_given(clip, tmp_path, capsys):
+    images = list(pictures(clip.video))[:5]
+    for i, image in enumerate(images):
+        cv2.imwrite(str(tmp_path / f'{i:06d}.png'), image)
+    assert main(['inspect', str(tmp_path), '--set', 'encoder.rate=15', '--json']) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report['width'], report['height'], report['n_frames']) == (480, 352, 5)
+    assert report['fps'] == pytest.approx(15)
+    assert main(['inspect', str(tmp_path)]) == 3
+    assert '--set encoder.rate=30' in capsys.readouterr().err
