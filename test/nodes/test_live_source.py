@@ -1,11 +1,16 @@
 """A camera of the network that is not there yet, breaks off, and comes back."""
 
+import os
+from pathlib import Path
+from threading import Thread
+
 import pytest
 
 pytest.importorskip('rclpy')
 
 import av  # noqa: E402
 from mv_slapse import fields  # noqa: E402
+from mv_slapse.codec import source  # noqa: E402
 from mv_slapse.codec.encoding.encoder import LOW_LATENCY, write_video  # noqa: E402
 from mv_slapse.errors import UnusableInput  # noqa: E402
 from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402
@@ -60,6 +65,59 @@ def test_a_camera_of_this_machine_that_is_not_there_is_waited_for(bench, stream,
         assert bench.spin(lambda wait=wait: f'/dev/video99: no such file; check the path; it is '
                           f'opened again in {wait} s' in messages_of(node), 10)
     assert value_of(node, 'condition') == 'unreachable'
+
+
+@pytest.fixture
+def device():
+    """A device that does not exist yet: its driver is a FIFO, as no test has a camera."""
+    path = Path('/dev/shm') / f'mv_slapse_camera_{os.getpid()}'
+    yield path
+    path.unlink(missing_ok=True)
+
+
+@pytest.mark.skipif(not os.access('/dev/shm', os.W_OK), reason='no place for a FIFO below /dev')
+def test_a_camera_of_this_machine_that_comes_late_and_is_unplugged_is_opened_again(
+        bench, tmp_path, stream, device):
+    received = bench.listen(Correspondences, 'correspondences')
+    node = bench.start(DecoderNode, source=str(device),
+                       camera_info_url=str(tmp_path / 'camera.yaml'))
+    assert bench.spin(lambda: 'no such file; check the path; it is opened again in'
+                      in messages_of(node), 10)
+    counts = []
+    for _ in range(2):
+        os.mkfifo(device)
+        driver = Thread(target=device.write_bytes, args=(stream,), daemon=True)
+        driver.start()
+        assert bench.spin(lambda driver=driver: not driver.is_alive(), 20)
+        device.unlink()
+        assert bench.spin(lambda: 'it is opened again in' in messages_of(node), 20)
+        assert value_of(node, 'condition') == 'unreachable'
+        bench.spin(lambda: False, 0.5)
+        counts.append(len(received))
+    broken = [msg.reason for msg in received if msg.kind == SegmentKind.BROKEN]
+    assert broken == ['the source broke off']
+    assert counts[1] == 2 * counts[0] + 1 > 6
+
+
+@pytest.mark.parametrize('protocol', ['tcp', 'rtsp'])
+def test_a_stream_that_falls_silent_is_opened_again(bench, tmp_path, stream, monkeypatch,
+                                                    protocol):
+    monkeypatch.setattr(source, 'PATIENCE', 1.0)
+    port = free_port()
+    received = bench.listen(Correspondences, 'correspondences')
+    node = bench.start(DecoderNode, source=f'{protocol}://127.0.0.1:{port}',
+                       camera_info_url=str(tmp_path / 'camera.yaml'))
+    with CAMERAS[protocol](port, stream, 1, held=30.0):
+        assert bench.spin(lambda: received, 10)
+        assert bench.spin(lambda: value_of(node, 'condition') == 'unreachable', 10)
+    assert messages_of(node).count('it is opened again in') == 1
+
+
+def test_a_device_that_is_no_camera_is_told_as_one(bench, tmp_path, stream):
+    node = bench.start(DecoderNode, source='/dev/null',
+                       camera_info_url=str(tmp_path / 'camera.yaml'))
+    assert bench.spin(lambda: value_of(node, 'condition') == 'unreachable', 10)
+    assert '/dev/null cannot be opened as a video' in messages_of(node)
 
 
 def test_a_stream_without_vectors_from_the_network_is_encoded_again(bench, tmp_path, stream):
