@@ -16,6 +16,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mv_slapse_msgs')
 
 from conftest import ROOT  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 import endings  # noqa: E402
 from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
 from mv_slapse.nodes import standby  # noqa: E402
@@ -169,6 +170,26 @@ def test_each_that_is_forked_again_has_ports_that_none_before_it_had(
 def following(participant):
     order = standby.PARTICIPANTS
     return order[(order.index(participant) + 1) % len(order)]
+
+
+def test_two_that_were_forked_again_find_each_other(bench, standing):
+    other = start('obstacle_tracker', more=['--standby'])
+    try:
+        assert bench.spin(lambda: child_of(other) and 'obstacle_tracker' in names_of(bench.peer),
+                          60)
+        killed = {process: child_of(process) for process in (standing, other)}
+        for number in killed.values():
+            os.kill(number, signal.SIGKILL)
+        assert bench.spin(lambda: all(child_of(process) not in (0, number)
+                                      for process, number in killed.items()), 30)
+        said = {}
+        bench.peer.create_subscription(DiagnosticArray, '/diagnostics', lambda msg: said.update(
+            ((one.name, item.key), item.value) for one in msg.status for item in one.values), 10)
+        assert bench.spin(lambda: said.get(('obstacle_tracker', 'publishers of /odometry')) == '1',
+                          20)
+    finally:
+        other.kill()
+        other.wait()
 
 
 @pytest.mark.parametrize('own', ['variable', 'file', 'middleware'])
