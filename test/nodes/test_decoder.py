@@ -245,16 +245,17 @@ def test_a_codec_that_ffmpeg_does_not_know_is_an_error_that_names_the_cure(bench
     assert bench.spin(lambda: 'send H.264' in messages_of(node))
 
 
-def test_a_codec_without_vectors_is_encoded_again(bench):
+@pytest.mark.parametrize(('codec', 'given'), [('hevc', 'h265'), ('vp9', 'vp9'), ('av1', 'av1')])
+def test_a_codec_without_vectors_is_encoded_again(bench, codec, given):
     module = pytest.importorskip('foxglove_msgs.msg')
-    packets = other_codecs.coded(clips.pictures(), 'hevc', 100_000_000, START)
+    packets = other_codecs.coded(clips.pictures(), codec, 100_000_000, START)
     received = bench.listen(Correspondences, 'correspondences')
     node = bench.start(DecoderNode)
     publish_camera(bench)
     publisher = bench.advertise(module.CompressedVideo, 'video')
     for packet in packets:
         publisher.publish(module.CompressedVideo(
-            timestamp=stamp_to_msg(packet.stamp), format='h265', data=packet.data))
+            timestamp=stamp_to_msg(packet.stamp), format=given, data=packet.data))
         bench.spin(lambda: False, 0.02)
     expected = expected_records(packets)
     assert len(expected) >= 5
