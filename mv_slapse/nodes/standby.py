@@ -31,8 +31,8 @@ PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 <participant profile_name="mv_slapse" is_default_profile="true">
 <rtps><participantID>{}</participantID></rtps></participant></profiles></dds>
 """
-# Of the 32 that rmw_fastrtps looks for where ROS_AUTOMATIC_DISCOVERY_RANGE is LOCALHOST: two beyond
-# would never find each other. Those that start take the first ones.
+# Of the 32 that rmw_fastrtps looks for where ROS_AUTOMATIC_DISCOVERY_RANGE is LOCALHOST: two
+# beyond would never find each other. Those that start take the first ones.
 PARTICIPANTS = range(16, 32)
 
 
