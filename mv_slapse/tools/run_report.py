@@ -72,6 +72,7 @@ def _way(rows: dict[str, np.ndarray], map_: Mapping[str, Any],
     figure = Figure(figsize=(11, 7), layout='constrained')
     grid = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     known = np.isin(rows['status'], (TrackingStatus.OK, TrackingStatus.PREDICTED))
+    size = max(np.ptp(rows[name][known]) for name in 'xyz')
     for axes, across, title in ((grid[0], 'x', 'from above'), (grid[1], 'y', 'from the side')):
         _draw_ways(axes, {name: column[known] for name, column in rows.items()}, across)
         index = 'xyz'.index(across)
@@ -84,7 +85,8 @@ def _way(rows: dict[str, np.ndarray], map_: Mapping[str, Any],
                  ylabel=f'{"right" if across == "x" else "down"} {across} [{unit}]')
         axes.grid(alpha=0.3)
         # What is far off may not make the way a dot.
-        _limit(axes, rows['z'][known], rows[across][known])
+        axes.set_xlim(_limits(rows['z'][known], size))
+        axes.set_ylim(_limits(rows[across][known], size))
         axes.invert_yaxis()
     grid[1].set_xlabel(f'forward z [{unit}]')
     return figure
@@ -97,12 +99,11 @@ def _draw_ways(axes: Axes, rows: dict[str, np.ndarray], across: str):
                                6 * rows[f'sigma_{across}'][i], fc='black', alpha=0.15, ec='none'))
 
 
-def _limit(axes: Axes, along: np.ndarray, across: np.ndarray):
-    size = max(np.ptp(along), np.ptp(across), 1e-9)
-    for values, set_ in ((along, axes.set_xlim), (across, axes.set_ylim)):
-        half = 0.55 * max(np.ptp(values), size / 4)
-        middle = (values.min() + values.max()) / 2
-        set_(middle - half, middle + half)
+def _limits(values: np.ndarray, size: float) -> tuple[float, float]:
+    """Return the limits of an axis on which a way of this size lies; no axis is cut too close."""
+    half = 0.55 * max(np.ptp(values), size / 4, 1e-9)
+    middle = (values.min() + values.max()) / 2
+    return middle - half, middle + half
 
 
 def _over_time(rows: dict[str, np.ndarray], obstacles: dict[str, np.ndarray],

@@ -3,7 +3,8 @@ import re
 
 import av
 import cv2
-from mv_slapse.tools import main, overlay
+from mv_slapse.records import TrackingStatus
+from mv_slapse.tools import main, overlay, run_report
 import numpy as np
 import pytest
 
@@ -41,6 +42,19 @@ def test_a_run_leaves_a_page_that_needs_no_network(folder):
     assert len(page.sources) == 3
     assert all(source.startswith('data:image/png;base64,') for source in page.sources)
     assert '{\n "scene.gate": 17.5\n}' in page.texts
+
+
+def test_both_views_of_a_way_sideways_leave_room_for_what_stands_beside_it():
+    n, wall = 50, [0.0, -2.0, 8.0, 100.0, -2.0, 8.0, 100.0, 2.0, 8.0, 0.0, 2.0, 8.0]
+    rows = {'status': np.full(n, TrackingStatus.OK), 'x': np.linspace(0, 100, n),
+            'y': np.linspace(0, -0.5, n), 'z': np.linspace(0, -1, n),
+            **{f'sigma_{name}': np.full(n, 0.1) for name in 'xyz'}}
+    map_ = {'planes': [{'normal': [0.0, 0.0, 1.0], 'outline': wall}]}
+    figure = run_report._way(rows, map_, {f'p{name}': np.zeros(0) for name in 'xyz'}, 'm')
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        assert low < -1 < 8 < high
+    assert sorted(figure.axes[1].get_ylim())[0] < -2 < 2 < sorted(figure.axes[1].get_ylim())[1]
 
 
 def test_a_run_without_report_leaves_none(clip, tmp_path):
