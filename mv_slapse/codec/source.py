@@ -8,7 +8,6 @@ import select
 from typing import BinaryIO
 
 import av
-from mv_slapse.codec.frames import WITH_VECTORS
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
 
@@ -16,6 +15,8 @@ PROTOCOLS = 'rtsp,rtp,udp,tcp,http,https,tls,crypto'
 LOCAL = 'file'  # a playlist from the network must not read files, nor a file's the network
 PATIENCE = 10.0  # s, for a network to answer
 DEFAULT_RATE = Fraction(25)
+# of decoders that are not named after their codec (older PyAV tells the decoder only)
+CODECS = {'libdav1d': 'av1', 'libaom-av1': 'av1'}
 
 
 class Source:
@@ -24,7 +25,7 @@ class Source:
     Attributes
     ----------
     codec : str
-        FFmpeg's name of the decoder that exports vectors, else of the codec.
+        FFmpeg's name of the codec.
     width, height : int
         Picture size [px].
     fps : float
@@ -40,9 +41,8 @@ class Source:
         self._container = container
         self._stream = container.streams.video[0]
         context = self._stream.codec_context
-        codec = self._stream.codec
-        # libdav1d is a decoder of AV1 among others
-        self.codec = codec.name if codec.name in WITH_VECTORS else codec.canonical_name
+        decoder = self._stream.codec.name
+        self.codec = CODECS.get(decoder, decoder)
         self.width, self.height = context.width, context.height
         self._rate = self._stream.average_rate or self._stream.guessed_rate
         self.fps = float(self._rate or 0)
