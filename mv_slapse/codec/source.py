@@ -115,7 +115,8 @@ def open_source(path_or_url: str | Path) -> Source:
     if not is_url:
         _check_file(Path(name))
     try:
-        container = av.open(_place(name, is_url), **_how_to_open(name, is_url))
+        container = (_camera(name) if not is_url and Path(name).is_char_device()
+                     else av.open(_place(name, is_url), **_how_to_open(name, is_url)))
     except (av.error.FFmpegError, OSError) as error:
         raise UnusableInput(f'{name} cannot be opened as a video: {error}; give a video file '
                             'that FFmpeg can read, or a stream that is reachable') from error
@@ -137,16 +138,22 @@ def is_live(name: str) -> bool:
         '://' in name and _protocol(name) != LOCAL)
 
 
+def _camera(name: str):
+    """Open a camera by its driver: for its H.264, or its JPEG where it has no encoder."""
+    try:
+        return av.open(name, format='v4l2', options={'input_format': 'h264'})
+    except av.error.FFmpegError:
+        return av.open(name, format='v4l2', options={'input_format': 'mjpeg'})
+
+
 def _how_to_open(name: str, is_url: bool) -> dict:
-    """Return the arguments of av.open: a patience for networks, the driver of cameras."""
+    """Return the arguments of av.open: a patience for networks."""
     is_local = not is_url or _protocol(name) == LOCAL
     options = {'protocol_whitelist': LOCAL if is_local else PROTOCOLS}
     if is_url:
         # UDP loses packets in silence, and a lost packet is a broken pair.
         transport = {'rtsp_transport': 'tcp'} if name.startswith('rtsp') else {}
         return {'options': {**options, **transport}, 'timeout': PATIENCE}
-    if Path(name).is_char_device():
-        return {'format': 'v4l2', 'options': {'input_format': 'h264'}}
     return {'options': options}
 
 

@@ -163,3 +163,23 @@ def test_a_playlist_from_the_network_reads_no_file(tmp_path, rng):
         server.shutdown()
     with open_source(tmp_path / 'a.m3u8') as source:  # a file may read files
         assert len(list(source.packets())) > 10
+
+
+def test_a_camera_without_an_encoder_gives_its_jpeg(tmp_path, monkeypatch):
+    with av.open(str(tmp_path / 'a.avi'), 'w') as container:
+        stream = container.add_stream('mjpeg', rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, 'yuvj420p'
+        container.mux(stream.encode(av.VideoFrame(64, 48, 'yuvj420p')))
+        container.mux(stream.encode(None))
+    asked, open_file = [], av.open
+
+    def driver(name, format, options):
+        asked.append((name, format, options['input_format']))
+        if options['input_format'] == 'h264':
+            raise av.error.FFmpegError(22, 'Invalid argument')
+        return open_file(str(tmp_path / 'a.avi'))
+
+    monkeypatch.setattr(av, 'open', driver)
+    with open_source('/dev/null') as source:  # no machine for tests has a camera
+        assert source.codec == 'mjpeg'
+    assert asked == [('/dev/null', 'v4l2', 'h264'), ('/dev/null', 'v4l2', 'mjpeg')]
