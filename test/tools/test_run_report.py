@@ -1,5 +1,7 @@
 from html.parser import HTMLParser
 import re
+import shutil
+import subprocess
 
 import av
 import cv2
@@ -7,6 +9,10 @@ from mv_slapse.records import TrackingStatus
 from mv_slapse.tools import main, overlay, run_report
 import numpy as np
 import pytest
+
+CHROMIUM = shutil.which('chromium') or shutil.which('google-chrome')
+SHOWN = """<script>onload = () => document.title =
+  [...document.images].map(image => image.complete && image.naturalWidth > 0)</script>"""
 
 
 class Page(HTMLParser):
@@ -42,6 +48,17 @@ def test_a_run_leaves_a_page_that_needs_no_network(folder):
     assert len(page.sources) == 3
     assert all(source.startswith('data:image/png;base64,') for source in page.sources)
     assert '{\n "scene.gate": 17.5\n}' in page.texts
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason='Chromium is not installed (apt: chromium)')
+def test_a_browser_shows_all_pictures_without_a_network(folder, tmp_path):
+    page = tmp_path / 'report.html'
+    page.write_text((folder / 'report.html').read_text() + SHOWN)
+    said = subprocess.run(
+        [CHROMIUM, '--headless', '--no-sandbox', '--disable-gpu', f'--user-data-dir={tmp_path}',
+         '--host-resolver-rules=MAP * ~NOTFOUND', '--dump-dom', page.as_uri()],
+        capture_output=True, text=True, timeout=100, check=True).stdout
+    assert '<title>true,true,true</title>' in said
 
 
 def test_both_views_of_a_way_sideways_leave_room_for_what_stands_beside_it():
