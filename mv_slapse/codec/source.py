@@ -67,6 +67,11 @@ class Source:
 
         The stamp of a file's first picture is 0. A file that is cut off is played as far as it
         goes. Where a packet carries no time, the frame rate gives it one.
+
+        Raises
+        ------
+        UnusableInput
+            Where not even the first packet can be read.
         """
         extradata = bytes(self._stream.codec_context.extradata or b'')
         clock = _Clock(self._stream, self._rate)
@@ -75,13 +80,19 @@ class Source:
                          self.codec, extradata)
 
     def _demux(self) -> Iterator[av.Packet]:
-        packets = self._container.demux(self._stream)
+        packets, some = self._container.demux(self._stream), False
         while True:
             try:
                 packet = next(packets)
-            except (StopIteration, av.error.FFmpegError):
+            except StopIteration:
                 return
+            except av.error.FFmpegError as error:
+                if some or isinstance(error, av.error.EOFError):
+                    return
+                raise UnusableInput(f'{self._container.name} cannot be read as a video: {error}; '
+                                    'is it whole, and can its server begin anywhere?') from error
             if packet.size:
+                some = True
                 yield packet
 
 

@@ -8,6 +8,7 @@ import av
 from mv_slapse.codec.encoding.encoder import Encoding, LOW_LATENCY, write_video
 from mv_slapse.codec.source import open_source
 from mv_slapse.errors import UnusableInput
+import numpy as np
 import pictures
 import pytest
 
@@ -163,6 +164,21 @@ def test_a_playlist_from_the_network_reads_no_file(tmp_path, rng):
         server.shutdown()
     with open_source(tmp_path / 'a.m3u8') as source:  # a file may read files
         assert len(list(source.packets())) > 10
+
+
+def test_a_server_that_cannot_begin_at_the_pictures_is_told_of(tmp_path):
+    # The pictures of an MP4 come before its index, and this server sends files from their start;
+    # random ones, as FFmpeg keeps the newest 64 kB.
+    images = np.random.default_rng(0).integers(0, 255, (12, 192, 256), np.uint8)
+    write_video(tmp_path / 'a.mp4', images, 25, LOW_LATENCY)
+    assert (tmp_path / 'a.mp4').stat().st_size > 200_000
+    handler = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
+    with ThreadingHTTPServer(('127.0.0.1', 0), handler) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        with (open_source(f'http://127.0.0.1:{server.server_port}/a.mp4') as source,
+              pytest.raises(UnusableInput, match='can its server begin anywhere')):
+            list(source.packets())
+        server.shutdown()
 
 
 def test_a_camera_without_an_encoder_gives_its_jpeg(tmp_path, monkeypatch):
