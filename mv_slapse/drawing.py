@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import cv2
-from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry.blocks import grid_shape, MACROBLOCK, macroblock_of
 from mv_slapse.records import Label, Obstacle, ObstacleState
 import numpy as np
 
@@ -56,19 +56,15 @@ def draw(image: np.ndarray, centres: np.ndarray, label: np.ndarray, plane: np.nd
     drawn : (H, W, 3) uint8
         BGR; blocks are coloured and outlined by their plane, red where they move.
     """
-    image = np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image
-    paint, ids = np.zeros(image.shape, np.float32), np.full(image.shape[:2], -1, np.int32)
-    half = MACROBLOCK // 2
+    image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
     on_plane = np.where(label == Label.STATIONARY, plane, -1)
-    for (x, y), value, id_ in zip(centres.round().astype(int), _colours(label, plane), on_plane,
-                                  strict=True):
-        if value.any():
-            block = slice(max(y - half, 0), y + half), slice(max(x - half, 0), x + half)
-            paint[block], ids[block] = value, id_
-    shown = paint.any(axis=2, keepdims=True) * STRENGTH
-    drawn = np.ascontiguousarray((image * (1 - shown) + paint * shown).astype(np.uint8))
+    colours = _colours(label, plane)
+    paint, shown, ids = (_painted(centres, values, image.shape[1::-1]) for values in (
+        colours, colours.any(axis=1).astype(np.uint8), on_plane.astype(np.int32) + 1))
+    drawn = image.copy()
+    cv2.copyTo(cv2.addWeighted(image, 1 - STRENGTH, paint, STRENGTH, 0), shown, drawn)
     for id_ in np.unique(on_plane[on_plane >= 0]):
-        around, _ = cv2.findContours((ids == id_).astype(np.uint8), cv2.RETR_EXTERNAL,
+        around, _ = cv2.findContours((ids == id_ + 1).astype(np.uint8), cv2.RETR_EXTERNAL,
                                      cv2.CHAIN_APPROX_SIMPLE)
         cv2.drawContours(drawn, around, -1, PLANES[id_ % len(PLANES)], 2)
     for box in boxes:
@@ -76,10 +72,20 @@ def draw(image: np.ndarray, centres: np.ndarray, label: np.ndarray, plane: np.nd
     return drawn
 
 
+def _painted(centres: np.ndarray, values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return a picture of this width and height whose blocks have these values, 0 elsewhere."""
+    columns, rows = grid_shape(*size)
+    cells = np.zeros((rows, columns, *values.shape[1:]), values.dtype)
+    column, row = macroblock_of(centres).T
+    cells[row, column] = values
+    large = cv2.resize(cells, None, fx=MACROBLOCK, fy=MACROBLOCK, interpolation=cv2.INTER_NEAREST)
+    return large[:size[1], :size[0]]
+
+
 def _colours(label: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    colours = np.zeros((len(label), 3), np.float32)
+    colours = np.zeros((len(label), 3), np.uint8)
     of_plane = (label == Label.STATIONARY) & (plane >= 0)
-    colours[of_plane] = np.array(PLANES, np.float32)[plane[of_plane] % len(PLANES)]
+    colours[of_plane] = np.array(PLANES, np.uint8)[plane[of_plane] % len(PLANES)]
     colours[label == Label.INFINITY] = FAR
     colours[label == Label.MOVING] = RED
     return colours
