@@ -139,7 +139,7 @@ class PlaneExtractor:
 
     def _remember_map(self, shown: Extraction, found: Found, told: Told):
         """Correct the map by the blocks (N,) that stand still."""
-        motion, still = shown.motion, (shown.label != Label.MOVING) & ~found.doubtful
+        motion, still = shown.motion, (shown.label != Label.MOVING.value) & ~found.doubtful
         carried = self._map(shown).moved(
             shown.stamp, (motion.R_cur_from_prev, told.length * motion.t_cur_from_prev),
             found.evidence.pair[still], told.known[still], (shown.width, shown.height))
@@ -158,7 +158,7 @@ class PlaneExtractor:
             x_cur=undistort(camera, correspondences.x_cur).astype(np.float32),
             x_prev=undistort(camera, correspondences.x_prev).astype(np.float32),
             sigma=correspondences.sigma, block=correspondences.block,
-            label=np.full(n, Label.UNKNOWN, np.int8), plane_id=np.full(n, -1, np.int32))
+            label=np.full(n, Label.UNKNOWN.value, np.int8), plane_id=np.full(n, -1, np.int32))
 
     def _standing(self, blank: Extraction) -> Extraction:
         """Label a key frame pair of a camera that stands still."""
@@ -304,7 +304,7 @@ class PlaneExtractor:
                                     id_)
         shown, self._movers = regions.with_moving_planes(
             shown, self._movers, self._settings.moving_score, known, before)
-        still = shown.label != Label.MOVING
+        still = shown.label != Label.MOVING.value
         planes = [replace(plane, member=plane.member & still) for plane in found.planes
                   if plane.is_ground or np.mean(still[plane.member]) > 0.5]
         lost = {plane.id for plane in found.planes} - {plane.id for plane in planes}
@@ -343,7 +343,7 @@ class PlaneExtractor:
         for i, plane in enumerate(planes):
             index[plane.member] = i
         stationary = found.evidence.epipolar_inlier & ~found.evidence.backward
-        stationary &= (found.moving.label != Label.MOVING) & ~found.doubtful
+        stationary &= (found.moving.label != Label.MOVING.value) & ~found.doubtful
         index[~stationary] = joint.LEFT_OUT
         R, t, values, covariance = joint.reestimate(
             pair, (fit.R_cur_from_prev, fit.t_cur_from_prev),
@@ -390,7 +390,7 @@ class PlaneExtractor:
         else:
             track = track.seen(floor.id, floor.plane, floor.covariance)
         evidence = found.evidence
-        still = evidence.has_depth & (found.moving.label != Label.MOVING) & ~found.doubtful
+        still = evidence.has_depth & (found.moving.label != Label.MOVING.value) & ~found.doubtful
         past = self._memory.past_at(blank, found.fit, BaselineRatio(
             blank.baseline_ratio, blank.baseline_ratio_sigma))
         self._memory = Memory(

@@ -28,14 +28,14 @@ class Found:
 def labels(found: Found):
     """Return the label (N,) and the plane id (N,) of each block."""
     evidence = found.evidence
-    label = np.full(len(evidence.rho), Label.UNKNOWN, np.int8)
+    label = np.full(len(evidence.rho), Label.UNKNOWN.value, np.int8)
     label[evidence.epipolar_inlier & ~evidence.backward] = Label.STATIONARY
     label[evidence.at_infinity] = Label.INFINITY
     plane_id = np.full(len(label), -1, np.int32)
     for plane in found.planes:
         plane_id[plane.member] = plane.id
     if found.moving is not None:
-        moving = found.moving.label == Label.MOVING
+        moving = found.moving.label == Label.MOVING.value
         label[found.doubtful] = Label.UNKNOWN
         label[moving] = Label.MOVING
         plane_id[moving] = found.moving.plane_id[moving]

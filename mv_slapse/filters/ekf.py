@@ -59,9 +59,10 @@ class State:
             raise KeyError(f'the state has a block {name!r} already')
         n = len(self.mu)
         self._blocks[name] = slice(n, n + len(mu))
-        self.mu = np.r_[self.mu, mu]
-        self.lasting = np.r_[self.lasting, np.zeros((len(mu), self.lasting.shape[1]))]
-        self.P = np.block([[self.P, np.zeros((n, len(mu)))], [np.zeros((len(mu), n)), P]])
+        self.mu = np.concatenate((self.mu, mu))
+        self.lasting = np.concatenate((self.lasting, np.zeros((len(mu), self.lasting.shape[1]))))
+        before, self.P = self.P, np.zeros((len(self.mu), len(self.mu)))
+        self.P[:n, :n], self.P[n:, n:] = before, P
 
     def remove(self, name: Hashable):
         """Marginalise a block out: its rows and columns go, the rest keeps its values."""

@@ -50,7 +50,7 @@ def product(theta: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 def homography(product_: np.ndarray, K: np.ndarray, R_cur_from_prev: np.ndarray) -> np.ndarray:
-    """Return H (3, 3), x_prev ~ H x_cur, of a moving plane, (11) of [MVO]."""
+    """Return H (..., 3, 3), x_prev ~ H x_cur, of moving planes by products, (11) of [MVO]."""
     return K @ R_cur_from_prev.T @ (np.eye(3) + product_) @ np.linalg.inv(K)
 
 

@@ -1,5 +1,6 @@
 """Rotations near the identity; everything else is scipy's ``Rotation``."""
 
+from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 
@@ -22,4 +23,4 @@ def log(R: np.ndarray) -> np.ndarray:
 
 def angle(R: np.ndarray) -> float:
     """Return the angle [rad] of a rotation matrix."""
-    return float(np.linalg.norm(log(R)))
+    return norm(log(R))

@@ -41,7 +41,7 @@ def numbers(mask, n: int) -> np.ndarray:
     """
     if not isinstance(mask, np.ndarray):
         return np.arange(n)[mask]
-    return np.flatnonzero(mask) if mask.dtype == bool else mask
+    return mask.nonzero()[0] if mask.dtype == bool else mask
 
 
 def columns(pair: Pair, R, t) -> tuple:

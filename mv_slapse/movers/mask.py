@@ -50,10 +50,10 @@ class Silhouettes:
         known = {}
         for id_, motion in self._motions(extraction, correspondences).items():
             seen = self._carried(id_, motion, size, stamp)
-            own = (plane == id_) & (label == Label.MOVING)
+            own = (plane == id_) & (label == Label.MOVING.value)
             seen[_outline(own, size)] = stamp
             # What has a label of its own is none of the mover's.
-            seen[~own & (label != Label.UNKNOWN)] = NEVER
+            seen[~own & (label != Label.UNKNOWN.value)] = NEVER
             if np.any(seen != NEVER):
                 known[id_] = _Silhouette(seen, motion)
                 label[seen != NEVER], plane[seen != NEVER] = Label.MOVING, id_
@@ -66,7 +66,8 @@ class Silhouettes:
                    for id_, known in self._known.items()}
         for plane in extraction.planes:
             if plane.label is Label.MOVING:
-                member = (extraction.plane_id == plane.id) & (extraction.label == Label.MOVING)
+                member = ((extraction.plane_id == plane.id)
+                          & (extraction.label == Label.MOVING.value))
                 motion = compiled.motion_in_picture(
                     correspondences.x_cur, correspondences.x_prev, member, MIN_BLOCKS, STRAY,
                     WEAK)

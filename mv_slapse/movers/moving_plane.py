@@ -11,6 +11,7 @@ from typing import NamedTuple
 from mv_slapse.geometry import moving_plane
 from mv_slapse.geometry.camera import UP
 from mv_slapse.geometry.moving_plane import LOG_DEPTH, RATE, SLOPE
+from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import ScalePrior
 import numpy as np
@@ -90,7 +91,7 @@ def fit_surfaces(regions: Regions, view: View, ground: np.ndarray | None) -> Sur
     A prior holds each plane upright: its normal ~ w is perpendicular to the ground's, ``ground``
     (3,), n / d in camera k in any unit.
     """
-    down = -UP if ground is None else ground / np.linalg.norm(ground)
+    down = -UP if ground is None else ground / norm(ground)
     rules = Rules(upright_sigma=UPRIGHT_SIGMA[ground is not None])
     return Surfaces(*compiled.fit_moving_surfaces(*regions, view, down, rules))
 

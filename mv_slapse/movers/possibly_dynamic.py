@@ -28,8 +28,8 @@ def like_movers(shown: Extraction, parallax: np.ndarray) -> np.ndarray:
     movers = [plane for plane in shown.planes if plane.label is Label.MOVING]
     if not movers:
         return np.zeros(len(shown.x_cur), bool)
-    H = [moving_plane.homography(plane.product, shown.K, shown.motion.R_cur_from_prev)
-         for plane in movers]
+    H = moving_plane.homography(np.array([plane.product for plane in movers]), shown.K,
+                                shown.motion.R_cur_from_prev)
     return compiled.blocks_like_movers(
         shown.x_cur, shown.x_prev, shown.plane_id, parallax, np.array([m.id for m in movers]),
         np.reshape(H, (-1, 9)), REACH, SLACK)
@@ -50,7 +50,7 @@ def below(rays: np.ndarray, rho: np.ndarray, blur: np.ndarray, floor: np.ndarray
 def painted(shown: Extraction) -> np.ndarray:
     """Return the grid of cells that holds 1 where there is a mover."""
     return paint(shown.width, shown.height, shown.x_cur, shown.block,
-                 (shown.label == Label.MOVING).astype(int))
+                 (shown.label == Label.MOVING.value).astype(int))
 
 
 def taken(grid: np.ndarray | None, x_prev: np.ndarray) -> np.ndarray:

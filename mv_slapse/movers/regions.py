@@ -188,7 +188,7 @@ def _pair(extraction, before):
         extraction.x_cur, extraction.x_prev, extraction.block, extraction.sigma))
     return _Pair(x, x_prev, block, sigma, *before,
                  np.ascontiguousarray(extraction.plane_id, np.int32),
-                 extraction.label == Label.UNKNOWN)
+                 extraction.label == Label.UNKNOWN.value)
 
 
 def _regions(extraction, pair, view, ground):

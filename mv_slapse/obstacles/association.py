@@ -123,8 +123,10 @@ def _as_expected(group, expected):
     places = [expected[d.id] for d in group if d.id in expected]
     if len(places) != 1:
         return not places
-    grow = np.r_[-MARGIN, -MARGIN, 2 * MARGIN, 2 * MARGIN] * np.tile(places[0][2:], 2)
-    return all(_covers(places[0] + grow, d.box) for d in group if d.id not in expected)
+    x, y, width, height = places[0]
+    room = np.array([x - MARGIN * width, y - MARGIN * height, width + 2 * MARGIN * width,
+                     height + 2 * MARGIN * height])
+    return all(_covers(room, d.box) for d in group if d.id not in expected)
 
 
 def _covers(box, part):

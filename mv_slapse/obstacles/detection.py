@@ -1,11 +1,13 @@
 """Moving planes of one key frame pair as observations of the obstacle filters, (16) of [MVO]."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import dataclasses
+from dataclasses import dataclass
 from functools import cached_property
 import math
 from typing import NamedTuple
 
+from mv_slapse.changed import replace
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_rays
@@ -146,7 +148,8 @@ def joined(group: Sequence[Detection], view: View) -> Detection:
     x = np.concatenate([item.x for item in group])
     block = np.concatenate([item.block for item in group])
     box = box_of(x, block)
-    whole = replace(_moved(first, _centre(box, view)), x=x, block=block)
+    # All is made anew: what is kept of the first one is the box of its blocks.
+    whole = dataclasses.replace(_moved(first, _centre(box, view)), x=x, block=block)
     whole.R[om.BEARING, om.BEARING] = bearing_covariance(box, block, view)
     return _on_ground(whole, view)
 

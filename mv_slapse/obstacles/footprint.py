@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_rays
+from mv_slapse.geometry.vector import norm
 from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles.detection import box_of, Detection
 from mv_slapse.obstacles.view import View
@@ -71,15 +72,17 @@ def _scene_below(surface, lowest, extraction):
     x, y = extraction.x_cur.T
     below = ((x > box[0]) & (x < box[0] + box[2])
              & (y > row) & (y < min(row + BELOW, lowest)))
-    return np.any(below) and np.mean(extraction.label[below] == Label.STATIONARY) > SHOWN
+    still = extraction.label[below] == Label.STATIONARY.value
+    return np.count_nonzero(still) > SHOWN * len(still)
 
 
 def _aside(surface, view):
     """Return what points across its way on the ground, (3,), and how unsure that is [rad]."""
     motion = om.motion(surface.z, surface.R, view.scene_velocity, view.scene_covariance)
-    aside = np.cross(view.ground, motion.velocity)
-    speed = np.linalg.norm(aside) / np.linalg.norm(view.ground)
-    aside /= max(np.linalg.norm(aside), 1e-12)
+    (a, b, c), (x, y, z) = view.ground.tolist(), motion.velocity.tolist()
+    aside = np.array([b * z - c * y, c * x - a * z, a * y - b * x])
+    speed = norm(aside) / norm(view.ground)
+    aside /= max(norm(aside), 1e-12)
     return aside, np.sqrt(aside @ motion.covariance[3:, 3:] @ aside) / max(speed, 1e-12)
 
 

@@ -72,7 +72,7 @@ def _free(extraction, box):
 
     To a camera that drives all may: what goes as fast looks stationary, and far off.
     """
-    rests = (extraction.label == Label.STATIONARY) & (
+    rests = (extraction.label == Label.STATIONARY.value) & (
         extraction.motion.status is MotionStatus.STANDSTILL)
     return np.flatnonzero(inside(extraction.x_cur, box) & (extraction.plane_id < 0) & ~rests)
 

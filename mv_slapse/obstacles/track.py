@@ -1,17 +1,19 @@
 """One moving obstacle over time: its filter, its outline and the evidence for it."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 import math
 
+from mv_slapse.changed import replace
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import association
 from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles.detection import body_box, box_of, cut_sides, Detection, Edge, is_cut
 from mv_slapse.obstacles.lifecycle import Evidence, within
-from mv_slapse.obstacles.view import norm, UNSCALED_SPEED, View
+from mv_slapse.obstacles.view import UNSCALED_SPEED, View
 from mv_slapse.records import Extraction, Label, Obstacle, ObstacleState, PlaneHandover, ScalePrior
 import numpy as np
 
@@ -165,7 +167,7 @@ class Track:
         lasts = max(OUTLINE_TIMES * settings.correlation_time, 1e-6)
         share = max(1 - math.exp(-1e-9 * (stamp - self.last_seen) / lasts), 1 / count)
         gain = np.where(is_cut(seen, view), 1.0, share)
-        self.extent = self.extent + np.tile(gain, 2) * (seen - self.extent)
+        self.extent = self.extent + np.concatenate((gain, gain)) * (seen - self.extent)
 
     def _disagreed(self, settings):
         """Return whether the last evidence lay outside the gate."""

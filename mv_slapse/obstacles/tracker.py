@@ -312,12 +312,12 @@ def _still_share(track, extraction, view):
     Of a car that drives as fast as the camera the labels call the blocks stationary, and far off.
     """
     at = np.flatnonzero(inside(extraction.x_cur, track.body(view))
-                        & (extraction.label != Label.UNKNOWN))
+                        & (extraction.label != Label.UNKNOWN.value))
     rays, before = (to_rays(view.K, x[at].astype(float)) for x in (extraction.x_cur,
                                                                    extraction.x_prev))
     rho, per_pixel = epipolar.inverse_depth(rays, before, np.diag(view.K)[:2],
                                             view.R_cur_from_prev, view.t_cur_from_prev)
     nearer, noise = np.exp(track.mu[2]) * np.array([rho, 2 * per_pixel * extraction.sigma[at]])
-    stands = ((extraction.label[at] == Label.STATIONARY)
+    stands = ((extraction.label[at] == Label.STATIONARY.value)
               & (nearer + noise > 1 / SAME_DEPTH) & (nearer - noise < SAME_DEPTH))
     return float(np.mean(stands)) if len(at) else 0.0

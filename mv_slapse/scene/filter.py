@@ -8,6 +8,7 @@ from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation, two_view
 from mv_slapse.geometry.camera import UP
+from mv_slapse.geometry.vector import norm
 from mv_slapse.records import (
     Extraction,
     Label,
@@ -197,7 +198,7 @@ class SceneFilter:
     def _predict(self, dt: float):
         """Move the camera at constant velocity; the planes change along the way."""
         settings, state = self._settings, self._state
-        speed = np.linalg.norm(state.velocity)
+        speed = norm(state.velocity)
         density = (settings.acceleration if self._progress.metric
                    else self._progress.free_acceleration(speed, settings.free_acceleration))
         # Between two key frames a start is no random walk.
@@ -229,7 +230,7 @@ class SceneFilter:
             return
         self._predict(min(dt, left))
         self._progress.carried = False
-        ground, turn = self._map.ground, float(np.linalg.norm(self._state.omega)) * min(dt, left)
+        ground, turn = self._map.ground, norm(self._state.omega) * min(dt, left)
         way = self._way(start, turn) if self._progress.metric else None
         observations = self._rigid(ground) if ground in self._state.planes else []
         observations += [scene_speed.observed(way, self._settings)] if way else []
@@ -288,7 +289,7 @@ class SceneFilter:
             scene_state.doubt_speed(self._state)
             self._progress.going = self._progress.interval
         # Not the speed now: what comes to rest could hardly start again, the scale would shrink.
-        self._progress.fastest = max(np.linalg.norm(self._state.velocity), self._progress.fastest)
+        self._progress.fastest = max(norm(self._state.velocity), self._progress.fastest)
         self._ride = self._ride.seen(self._state, extraction, ground, settings)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
@@ -323,7 +324,7 @@ class SceneFilter:
     def _baseline(self, extraction: Extraction, way: Way | None) -> float:
         """Return the best guess of the distance between the pair's key frames [map unit]."""
         settings, progress = self._settings, self._progress
-        guess = np.linalg.norm(self._state.current.t - self._state.previous.t)
+        guess = norm(self._state.current.t - self._state.previous.t)
         ground = scene_gate.ground_plane(extraction)
         if way:
             if not progress.metric:
@@ -336,7 +337,7 @@ class SceneFilter:
             return again or scene_rest.first_baseline(self._state, extraction, height) or slow
         if not progress.metric and settings.camera_height and ground is not None:
             # The camera's height is the ground's depth: 1 / |n/d| in units of the baseline.
-            metric = settings.camera_height * float(np.linalg.norm(ground))
+            metric = settings.camera_height * norm(ground)
             self._make_metric(metric / max(guess, 1e-9), 'camera height')
             return metric
         if progress.started and guess > 1e-9:
@@ -364,7 +365,7 @@ class SceneFilter:
         motion = extraction.motion
         self._dependence = self._dependence.seen(pair, motion.R_cur_from_prev,
                                                  motion.t_cur_from_prev)
-        leaning = self._settings.mover_bias * np.mean(extraction.label == Label.MOVING)
+        leaning = self._settings.mover_bias * np.mean(extraction.label == Label.MOVING.value)
         return unchecked(self._settings, dependence=self._dependence.value,
                          vector_bias=float(np.hypot(self._settings.vector_bias, leaning)))
 

@@ -58,10 +58,10 @@ def _speed_sigma(state: SceneState) -> float:
 
 def covariance(state: SceneState, *names) -> np.ndarray:
     """Return the covariance of blocks of the state in {W}: of their errors and of the gauge."""
-    at = np.concatenate([np.arange(state.size)[state.at(name)] for name in names])
-    J = np.vstack([jacobian(state, name) for name in names])
+    at = np.concatenate([np.arange(state.at(name).start, state.at(name).stop) for name in names])
+    J = np.concatenate([jacobian(state, name) for name in names])
     lasting = state.error.lasting[at]
-    return (state.P[np.ix_(at, at)] + lasting @ lasting.T
+    return (state.P[at[:, None], at] + lasting @ lasting.T
             + J @ state.gauge.covariance @ J.T)
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import two_view
+from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Extraction
 from mv_slapse.scene import gating as scene_gate
@@ -40,7 +41,7 @@ class Dependence:
         if len(pair) < LEAST:
             return self
         weight = max(SLOW, 1 / (self.pairs + 1))
-        newest = np.log(np.clip(measured(pair, R, t), *BOUNDS))
+        newest = np.log(min(max(measured(pair, R, t), BOUNDS[0]), BOUNDS[1]))
         mean = np.log(self.value) + weight * (newest - np.log(self.value))
         return Dependence(float(np.exp(mean)), self.pairs + 1)
 
@@ -65,7 +66,7 @@ class Agreement:
         for distance in distances:
             beyond = float(distance > TENTH * scale)
             scale *= np.exp(AGREEMENT_STEP * (beyond - 0.1))
-        return Agreement(float(np.clip(scale, LEAST_SCALE, 1.0)))
+        return Agreement(float(min(max(scale, LEAST_SCALE), 1.0)))
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class HeightWander:
         ground = scene_gate.ground_plane(extraction)
         if not settings.camera_height or ground is None:
             return self
-        metric = np.log(settings.camera_height * np.linalg.norm(ground))
+        metric = np.log(settings.camera_height * norm(ground))
         departure = float(metric - log_baseline(state)[0])
         dt = (extraction.stamp - extraction.previous_stamp) * 1e-9
         mean = self.mean + min(dt / WANDER_TIME, 1.0) * (departure - self.mean)

@@ -1,5 +1,6 @@
 """The state of the scene filter written down as a record: estimate."""
 
+from mv_slapse.geometry.vector import norm
 from mv_slapse.records import MapPlane, ScaleStatus, SceneEstimate, TrackingStatus
 from mv_slapse.scene import gauge as scene_gauge
 from mv_slapse.scene.progress import Progress
@@ -19,5 +20,5 @@ def estimate(state: SceneState, planes: tuple[MapPlane, ...], stamp: int, status
         state.velocity.copy(), state.omega.copy(),
         scene_gauge.covariance(state, 'velocity', 'omega'),
         ScaleStatus.METRIC if progress.metric else ScaleStatus.UNKNOWN, progress.source, planes,
-        float(np.linalg.norm(state.current.t - state.previous.t)), progress.resets,
+        norm(state.current.t - state.previous.t), progress.resets,
         progress.repairs)

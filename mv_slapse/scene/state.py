@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation
+from mv_slapse.geometry.vector import norm
 import numpy as np
 
 # Errors that are not estimated: turn by which all vectors err, place in their blocks that they
@@ -124,7 +125,7 @@ class SceneState:
         mount = self.mount + e[self.at('mount')]
         return SceneState(
             pose['previous'], pose['current'], self.velocity + e[self.at('velocity')],
-            self.omega + e[self.at('omega')], mount / np.linalg.norm(mount),
+            self.omega + e[self.at('omega')], mount / norm(mount),
             self.depth_scale + float(e[self.at('depth_scale')][0]),
             self.heave + float(e[self.at('heave')][0]), planes, self.error, self.gauge)
 
@@ -138,7 +139,8 @@ class SceneState:
         e = np.zeros(self.size)
         for name in ('previous', 'current'):
             mine, theirs = getattr(self, name), getattr(other, name)
-            e[self.at(name)] = np.r_[rotation.log(mine.R.T @ theirs.R), theirs.t - mine.t]
+            e[self.at(name)] = np.concatenate(
+                (rotation.log(mine.R.T @ theirs.R), theirs.t - mine.t))
         return e
 
 
@@ -169,10 +171,11 @@ def propagate(state: SceneState, dt: float, acceleration: float, angular_acceler
     left, reach = np.exp(-rate * dt), -np.expm1(-rate * dt) / rate if rate else dt
     turn = rotation.exp(state.omega * reach)
     F = np.zeros((CAMERA, state.size))
+    unit = np.eye(3)
     F[:CUR, CUR:VEL] = np.eye(6)
-    F[THETA, THETA], F[PLACE_NOW, PLACE_NOW], F[VEL:OM, VEL:OM] = turn.T, np.eye(3), np.eye(3)
-    F[THETA, OM:CAMERA], F[OM:, OM:CAMERA] = reach * np.eye(3), left * np.eye(3)
-    F[PLACE_NOW, VEL:OM] = dt * np.eye(3)
+    F[THETA, THETA], F[PLACE_NOW, PLACE_NOW], F[VEL:OM, VEL:OM] = turn.T, unit, unit
+    F[THETA, OM:CAMERA], F[OM:, OM:CAMERA] = reach * unit, left * unit
+    F[PLACE_NOW, VEL:OM] = dt * unit
     Q = np.zeros((CAMERA, CAMERA))
     _integrated_noise(Q, PLACE_NOW, slice(VEL, OM), acceleration, (dt**3 / 3, dt**2 / 2, dt))
     _integrated_noise(Q, THETA, slice(OM, CAMERA), angular_acceleration, _forgetful(dt, rate))
@@ -187,9 +190,10 @@ def _integrated_noise(Q, value: slice, rate: slice, density: float, moments):
 
     ``moments``: of unit noise, the variance of the integral, the covariance, the rate's variance.
     """
+    unit = np.eye(3) * density**2
     for row, column, moment in ((value, value, moments[0]), (value, rate, moments[1]),
                                 (rate, value, moments[1]), (rate, rate, moments[2])):
-        Q[row, column] += np.eye(3) * density**2 * moment
+        Q[row, column] += unit * moment
 
 
 def _forgetful(dt: float, rate: float) -> tuple[float, float, float]:
@@ -362,7 +366,7 @@ def renew(state: SceneState, relief: float):
     _, plane, anchor = state.arrays
     above = 1 + np.sum(plane * (state.current.t - anchor), axis=1)
     distance = np.abs(above) / np.sqrt(np.sum(plane * plane, axis=1))
-    way = np.linalg.norm(state.current.t - state.previous.t)
+    way = norm(state.current.t - state.previous.t)
     share = way / np.maximum(way, distance)
     at = state.size - plane.size + np.arange(plane.size).reshape(-1, 3)
     state.error.P[at[:, :, None], at[:, None]] += (

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from mv_slapse.changed import replace
 from mv_slapse.geometry import two_view
+from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.motion.observations import Depths
@@ -115,12 +116,12 @@ class BlockMap:
         """
         with np.errstate(divide='ignore', invalid='ignore'):
             # Depth in camera k over that in camera k-1.
-            ratio = (pair.rays_prev @ fit.R_cur_from_prev[2]
-                     + length * known[:, 0] * fit.t_cur_from_prev[2])
+            before = length * known[:, 0]
+            ratio = pair.rays_prev @ fit.R_cur_from_prev[2] + before * fit.t_cur_from_prev[2]
             sigma = length * np.sqrt(known[:, 1]) / ratio**2
             told = np.isfinite(sigma) & (ratio > 0)
-            return np.where(told[:, None], np.c_[length * known[:, 0] / ratio, sigma],
-                            (0.0, np.inf))
+            return np.stack((np.where(told, before / ratio, 0.0),
+                             np.where(told, sigma, np.inf)), axis=1)
 
     def measured(self, pair: two_view.Pair, known: np.ndarray, fit: MotionFit, stamp: int):
         """Return the motion of a pair up to a stamp [ns], its length, its ratio to the last one.
@@ -200,7 +201,7 @@ class BlockMap:
 
     def usual(self, stamp: int) -> float:
         """Return the length of a baseline at an unchanged speed [map unit], 1 if none is known."""
-        way = 1e-9 * (stamp - self.stamp) * float(np.linalg.norm(self.velocity))
+        way = 1e-9 * (stamp - self.stamp) * norm(self.velocity)
         return way or self.length or 1.0
 
 

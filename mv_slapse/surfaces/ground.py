@@ -12,6 +12,7 @@ from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import UP
+from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import BlockObservations, Depths
 from mv_slapse.surfaces import height
@@ -81,7 +82,7 @@ class Mount:
 
     def holds(self, plane: np.ndarray) -> bool:
         """Tell whether a plane (3,) lies as the ground may lie under any mounting."""
-        return float(self.normal @ plane) > np.cos(3 * self.widest) * np.linalg.norm(plane)
+        return float(self.normal @ plane) > np.cos(3 * self.widest) * norm(plane)
 
     def learned(self, course: np.ndarray, least: float) -> 'Mount':
         """Return the mount after one more course, a unit vector (3,) in the camera.
@@ -93,7 +94,7 @@ class Mount:
         off = float(self.normal @ course)
         learning = max(LEARNING, 1 / (self.courses + 2))
         mean = self.normal - learning * off * course
-        mean /= np.linalg.norm(mean)
+        mean /= norm(mean)
         spread = np.sqrt(self.spread**2 + learning * (off**2 - self.spread**2))
         slow = max(SLOW_LEARNING, 1 / (self.courses + 2))
         climb = np.sqrt(self.climb**2 + slow * (off**2 - self.climb**2))
@@ -178,7 +179,7 @@ class GroundTrack:
         tilt = (1 / own**2 + 1 / self.mount.spread**2) ** -0.5
         # Suspension and slope change the height by a few per cent between key frames.
         spread = np.sqrt(self.spread**2 + ratio_sigma**2 + HEIGHT_WOBBLE**2)
-        return GroundPrior(expected / np.linalg.norm(expected), tilt, inverse_depth, spread,
+        return GroundPrior(expected / norm(expected), tilt, inverse_depth, spread,
                            self.n_missed)
 
     def seen(self, id: int, plane: np.ndarray, covariance: np.ndarray) -> 'GroundTrack':
@@ -281,7 +282,7 @@ def course_of(t_cur_from_prev: np.ndarray) -> np.ndarray:
     Its axis where that is out of the picture: then the road is what it looks at.
     """
     t = t_cur_from_prev
-    return t * np.sign(t[2]) if abs(t[2]) > IN_VIEW * np.linalg.norm(t) else np.eye(3)[2]
+    return t * np.sign(t[2]) if abs(t[2]) > IN_VIEW * norm(t) else np.eye(3)[2]
 
 
 def _sharp(depths: Depths, plane: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ of the picture tells to half a per cent; so the evidence of many pairs comes tog
 
 from dataclasses import dataclass
 
+from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import Depths
 import numpy as np
@@ -76,7 +77,7 @@ class HeightBelief:
         20 % where what many pairs show errs by 3 to 5 (KITTI at five pictures a second).
         """
         spread = np.hypot(self.spread, BIAS)
-        return spread > KNOWN or abs(np.log(np.linalg.norm(plane)) + self.log) < 3 * spread
+        return spread > KNOWN or abs(np.log(norm(plane)) + self.log) < 3 * spread
 
     def moved(self, log_ratio: float, sigma: float) -> 'HeightBelief':
         """Return it in the next baseline, which is exp(log_ratio) of this one."""

@@ -40,7 +40,7 @@ def supposed_baseline(extraction: Extraction, camera_height: float) -> float:
                                     motion.t_cur_from_prev)
     across, down = np.abs(rays[:, 0]), rays[:, 1]
     road = (down > LOW) & (across < ROAD * down) & (rho > 0)
-    road &= extraction.label == Label.STATIONARY
+    road &= extraction.label == Label.STATIONARY.value
     return camera_height * float(np.median(rho[road] / down[road])) if road.any() else 0.0
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from mv_slapse.changed import replace
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
+from mv_slapse.geometry.vector import norm
 from mv_slapse.records import CameraMotion, Extraction
 from mv_slapse.scene import observations as scene_observations
 from mv_slapse.scene.noise import HeightWander
@@ -110,7 +111,7 @@ def _released(state: SceneState) -> Ride:
 def _sight(state: SceneState, ground: int, depth: float) -> Sight:
     """Return what the state after an update says of the last pair."""
     normal, (_, t) = plane_in_camera(state, ground) * depth, relative_motion(state)
-    way = float(np.linalg.norm(t))
+    way = norm(t)
     return Sight(way, float(np.log(depth)), normal, float(np.arcsin(normal @ t / max(way, 1e-9))))
 
 
