@@ -1,6 +1,7 @@
 """Formulas, and kernels that are parts of others, by themselves: only tests ask for them."""
 
 from math import comb
+from types import SimpleNamespace
 
 import cv2
 from mv_slapse.codec.merging import existence
@@ -218,7 +219,9 @@ def fit_moving_plane(x_cur, x_prev, sigma, block, K, R_cur_from_prev, t_cur_from
         x_cur, x_prev, sigma, t_cur_from_prev))
     view = View(K, np.ascontiguousarray(R_cur_from_prev), t)
     fit = fit_surfaces(Regions(x_cur, x_prev, sigma, np.zeros(1, int)), view, ground)
-    return settled(fit, x_cur, np.asarray(block, float), view, ground)
+    blocks = SimpleNamespace(x=x_cur, block=np.asarray(block, float), first=np.zeros(1, int),
+                             members=np.arange(len(x_cur)))
+    return settled(fit, blocks, 0, view, ground)
 
 
 def leaning(frame) -> np.ndarray:

@@ -365,3 +365,28 @@ def ground_below(i, ratio, o, seen, c):
     width = o.high[i, 0] - o.low[i, 0] + c.macroblock
     shown = np.sum(road > body) * c.macroblock**2 / (width * reach)
     return evidence * (min(shown / c.shown, 1) if evidence > 0 else 1)
+
+
+def settled(fit, alike, i, view, ground, rules):
+    """Return what the kernel settle_surface does."""
+    rows = alike.rows(i)
+    at, inlier, theta, centre = alike.members[rows], fit.inlier[rows], fit.theta[i], fit.centre[i]
+    if inlier.sum() < max(rules.least, 0.5 * len(at)) or not np.all(np.isfinite(theta)):
+        return None
+    gauge, found = np.zeros(6), None
+    if ground is not None:
+        foot = moving_plane.contact(alike.x[at][inlier], alike.block[at][inlier])
+        found = moving_plane.contact_depth(ground, foot, view.K, theta[SLOPE], centre)
+    if found is None:
+        free = (rules.nearest, rules.farthest)
+        nearest = theta[RATE] @ view.t / max(theta[RATE] @ theta[RATE], 1e-12)
+        log_depth = np.log(np.clip(nearest, *free)) if np.any(view.t) else np.mean(np.log(free))
+        variance = rules.free_sigma**2
+    else:
+        gauge[SLOPE], log_depth, variance = found.by_slope, found.value, found.variance
+    by_theta = np.vstack([np.eye(5, 6), gauge])
+    covariance = by_theta @ np.pad(fit.covariance[i], (0, 1)) @ by_theta.T
+    covariance[5, 5] += variance
+    state, jacobian = moving_plane.to_plane(np.r_[theta, log_depth], centre, view.t)
+    return (state[:3], state[3:], jacobian @ covariance @ jacobian.T,
+            moving_plane.product(theta, centre), found is not None, covariance[2, 2])

@@ -28,8 +28,6 @@ struct BodyRules {
       widest, many, blocks, reach;
 };
 
-double square(double x) { return x * x; }
-
 // Blocks that move along their epipolar lines, below the horizon.
 struct Seen {
   const double *x, *rho, *sigma, *under, *foreseen;

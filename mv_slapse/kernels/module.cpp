@@ -8,6 +8,7 @@ void bind_block_map(kernels::py::module_& module);
 void bind_ground(kernels::py::module_& module);
 void bind_body(kernels::py::module_& module);
 void bind_movers(kernels::py::module_& module);
+void bind_moving_plane(kernels::py::module_& module);
 void bind_reference_depth(kernels::py::module_& module);
 void bind_region_score(kernels::py::module_& module);
 void bind_lattice(kernels::py::module_& module);
@@ -35,6 +36,7 @@ PYBIND11_MODULE(mv_slapse_kernels, made) {
   bind_ground(module);
   bind_body(module);
   bind_movers(module);
+  bind_moving_plane(module);
   bind_reference_depth(module);
   bind_region_score(module);
   bind_lattice(module);

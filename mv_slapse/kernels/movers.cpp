@@ -17,8 +17,6 @@ namespace {
 
 constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
 
-double square(double x) { return x * x; }
-
 struct Pair {
   std::int32_t a, b;
 };

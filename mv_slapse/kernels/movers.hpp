@@ -12,6 +12,8 @@
 
 namespace kernels {
 
+inline double square(double x) { return x * x; }
+
 // A constant of a Python record of them, by its name.
 inline double number(const py::object& record, const char* name) {
   return record.attr(name).cast<double>();

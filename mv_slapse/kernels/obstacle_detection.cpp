@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "arrays.hpp"
+#include "contact.hpp"
 #include "movers.hpp"
 #include "small.hpp"
 
@@ -20,10 +21,6 @@ constexpr int SIZE = 8, DEPTH = 2, RATE = 3, SLOPE = 6;
 
 struct Box {
   double low[2], high[2];
-};
-
-struct Contact {
-  double x, y, sigma;
 };
 
 Box box_of(const In<double>& x, const In<double>& block) {
@@ -191,28 +188,10 @@ double shared_cells(const py::object& x, const py::object& other, double size) {
          static_cast<double>(std::max<std::size_t>(std::min(a.size(), b.size()), 1));
 }
 
-// Where a region meets the ground, as geometry.moving_plane.contact.
 Contact contact(const Region& region, double covered) {
-  const auto n = region.x.size();
-  std::vector<double> bottom(n);
-  for (py::ssize_t i = 0; i < n; ++i) bottom[i] = region.x(i, 1) + 0.5 * region.block(i, 1);
-  auto sorted = bottom;
-  std::sort(sorted.begin(), sorted.end());
-  const double edge = n > 3 ? sorted[n - 2] : sorted.back();
-  double sum = 0, height = 0;
-  int number = 0;
-  for (py::ssize_t i = 0; i < n; ++i)
-    if (bottom[i] >= edge - 0.5) {
-      sum += region.x(i, 0);
-      height = std::max(height, region.block(i, 1));
-      ++number;
-    }
-  return {sum / number, edge - (0.5 - covered) * height, height / std::sqrt(12.0)};
-}
-
-void ray_of(const Mat3& K, const double* x, double* ray) {
-  ray[1] = (x[1] - K[5]) / K[4];
-  ray[0] = (x[0] - K[2]) / K[0] - K[1] / K[0] * ray[1];
+  return contact_of(region.x.size(), [&](std::size_t i, int what) {
+    return what == 2 ? region.block(i, 1) : region.x(i, what);
+  }, covered);
 }
 
 void write_edge(const Contact& of, double variance, Out<double>& edge) {
@@ -390,24 +369,18 @@ py::object depth_from_ground(const py::object& z_, const py::object& R_, const p
   const Mat3 K = matrix(kernel, "K", K_);
   const Vec3 ground = vector(kernel, "ground", ground_);
   const Contact foot = contact(region, policy[0]);
-  const double point[2] = {foot.x, foot.y};
-  Vec3 ray{0, 0, 1};
-  ray_of(K, point, ray.data());
-  const double offset[2] = {ray[0] - z[0], ray[1] - z[1]};
-  const double rho = -dot(ground, ray);
-  const double relative = 1 + z[SLOPE] * offset[0] + z[SLOPE + 1] * offset[1];
-  const double sigma = rho > 0 ? std::abs(ground[1] / K[4]) * foot.sigma / rho : HUGE_VAL;
-  if (!(sigma < 0.5) || relative < 0.2) return py::none();
+  const ContactDepth found = contact_depth(ground, foot, K, &z[SLOPE], z.data());
+  if (!found.tells) return py::none();
   double J[SIZE][SIZE] = {};
   for (int i = 0; i < SIZE; ++i) J[i][i] = i != DEPTH;
-  for (int a = 0; a < 2; ++a) J[DEPTH][SLOPE + a] = offset[a] / relative;
+  for (int a = 0; a < 2; ++a) J[DEPTH][SLOPE + a] = found.by_slope[a];
   Out<double> mean({SIZE}), covariance({SIZE, SIZE}), edge({3});
   std::copy_n(z.data(), SIZE, mean.data());
-  mean[DEPTH] = std::log(relative / rho);
+  mean[DEPTH] = found.value;
   transformed(J, R, covariance);
   const bool hidden = foot.y + policy[1] > policy[2];
-  covariance(DEPTH, DEPTH) += sigma * sigma + (hidden ? policy[3] * policy[3] : 0);
-  write_edge(foot, sigma * sigma, edge);
+  covariance(DEPTH, DEPTH) += found.sigma * found.sigma + (hidden ? policy[3] * policy[3] : 0);
+  write_edge(foot, found.sigma * found.sigma, edge);
   return py::make_tuple(mean.array(), covariance.array(), edge.array());
 }
 

@@ -16,8 +16,6 @@ namespace {
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 constexpr int N = 5;  // unknowns of a moving surface: rate (3) and slope (2)
 
-double square(double x) { return x * x; }
-
 // The value below which a share of some values lies; they change their order.
 double rank(std::vector<double>& values, double share) {
   const auto at = static_cast<std::size_t>(std::nearbyint(share * (values.size() - 1.0)));

@@ -6,11 +6,11 @@ variance shows in the covariance where the vectors add nothing.
 """
 
 from dataclasses import dataclass
+import math
 from typing import NamedTuple
 
-from mv_slapse.geometry import moving_plane
 from mv_slapse.geometry.camera import UP
-from mv_slapse.geometry.moving_plane import LOG_DEPTH, RATE, SLOPE
+from mv_slapse.geometry.moving_plane import COVERED
 from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import ScalePrior
@@ -18,8 +18,6 @@ import numpy as np
 
 MIN_BLOCKS = 4
 UPRIGHT_SIGMA = {True: 0.3, False: 0.5}  # tangent against the vertical; ground known or not
-FREE_SIGMA = 1.0  # of ln Z where only the smallest motion settles it
-FREE_DEPTH = (3.0, 60.0)  # [baseline] between which the smallest motion may lie
 
 
 class Rules(NamedTuple):
@@ -30,6 +28,11 @@ class Rules(NamedTuple):
     inlier: float = 3.0  # [sigma], also the scale of the robust kernel
     yaw_sigma: float = 1.0  # tangent of the angle between a surface and the picture plane
     upright_sigma: float = 0.3  # one of UPRIGHT_SIGMA
+    least: float = MIN_BLOCKS
+    covered: float = COVERED
+    free_sigma: float = 1.0  # of ln Z where only the smallest motion settles it
+    nearest: float = 3.0  # [baseline] between which the smallest motion may lie,
+    farthest: float = 60.0  # and the other end
 
 
 @dataclass(frozen=True)
@@ -78,12 +81,6 @@ class Surfaces(NamedTuple):
     # half of a region's vectors agree
     variance: np.ndarray
 
-    def only(self, i: int, rows: slice) -> 'Surfaces':
-        """Return the surface of region i alone, whose blocks are in some rows."""
-        one = slice(i, i + 1)
-        return Surfaces(self.theta[one], self.covariance[one], self.centre[one],
-                        self.inlier[rows], self.variance[one])
-
 
 def fit_surfaces(regions: Regions, view: View, ground: np.ndarray | None) -> Surfaces:
     """Estimate rate and slope of each region, one at least: robust Gauss-Newton, (12) of [MVO].
@@ -96,45 +93,21 @@ def fit_surfaces(regions: Regions, view: View, ground: np.ndarray | None) -> Sur
     return Surfaces(*compiled.fit_moving_surfaces(*regions, view, down, rules))
 
 
-def settled(fit: Surfaces, x_cur: np.ndarray, block: np.ndarray, view: View,
+def settled(fit: Surfaces, blocks, i: int, view: View,
             ground: np.ndarray | None) -> MovingPlane | None:
-    """Return the MovingPlane of a fit of one region, or None where too few vectors agree.
+    """Return the MovingPlane of region i of a fit, or None where too few vectors agree.
 
-    ``x_cur`` and ``block`` (N, 2) are its blocks' centres and sizes [px]; ``ground`` (3,) is n / d
-    in camera k in the unit of the view's translation.
+    ``blocks`` has centres ``x`` and sizes ``block`` (N, 2) [px], the ``members`` (M,) int64 of one
+    region after the other, and where each begins, ``first`` (R,). ``ground`` (3,) is n / d in
+    camera k in the unit of the view's translation. Where a region stands on it that settles the
+    gauge, else the smallest motion.
     """
-    inlier, theta, centre = fit.inlier, fit.theta[0], fit.centre[0]
-    if inlier.sum() < max(MIN_BLOCKS, 0.5 * len(x_cur)) or not np.all(np.isfinite(theta)):
+    found = compiled.settle_surface(fit, (blocks.x, blocks.block, blocks.members, blocks.first),
+                                    i, view, ground, Rules())
+    if found is None:
         return None
-    covariance = np.zeros((6, 6))
-    covariance[:5, :5] = fit.covariance[0]
-    log_depth, gauge, prior = _gauge(theta, centre, view, x_cur[inlier], block[inlier], ground)
-    by_theta = np.vstack([np.eye(5, 6), gauge[:6]])
-    covariance = by_theta @ covariance @ by_theta.T
-    covariance[LOG_DEPTH, LOG_DEPTH] += gauge[6]
-    full = np.r_[theta, log_depth]
-    state, jacobian = moving_plane.to_plane(full, centre, view.t)
-    return MovingPlane(state[:3], state[3:], moving_plane.product(full, centre),
-                       jacobian @ covariance @ jacobian.T, prior, -theta[2], covariance[2, 2],
-                       centre, inlier, float(np.sqrt(fit.variance[0])))
-
-
-def _gauge(theta, centre, view, x_cur, block, ground):
-    """Return ln Z, its (derivative by theta (6,), variance) as (7,), and the prior used."""
-    gauge = np.zeros(7)
-    if ground is not None:
-        found = moving_plane.contact_depth(ground, moving_plane.contact(x_cur, block), view.K,
-                                           theta[SLOPE], centre)
-        if found is not None:
-            gauge[SLOPE], gauge[6] = found.by_slope, found.variance
-            return found.value, gauge, ScalePrior.GROUND_CONTACT
-    gauge[6] = FREE_SIGMA**2
-    return _smallest_motion(theta[RATE], view.t), gauge, ScalePrior.SMALLEST_MOTION
-
-
-def _smallest_motion(rate, t_cur_from_prev):
-    """Return the ln Z at which t_d = t - Z g is smallest, within sensible depths."""
-    if not np.any(t_cur_from_prev):
-        return float(np.mean(np.log(FREE_DEPTH)))
-    nearest = rate @ t_cur_from_prev / max(rate @ rate, 1e-12)
-    return float(np.log(np.clip(nearest, *FREE_DEPTH)))
+    plane, t_d, covariance, product, on_ground, closing_variance = found
+    prior = ScalePrior.GROUND_CONTACT if on_ground else ScalePrior.SMALLEST_MOTION
+    end = blocks.first[i + 1] if i + 1 < len(blocks.first) else None
+    return MovingPlane(plane, t_d, product, covariance, prior, -fit.theta[i, 2], closing_variance,
+                       fit.centre[i], fit.inlier[blocks.first[i]:end], math.sqrt(fit.variance[i]))

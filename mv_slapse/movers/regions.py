@@ -17,7 +17,6 @@ from mv_slapse.movers import body
 from mv_slapse.movers.identity import FADING, FIRST_ID, ids_of, Judged, Memory
 from mv_slapse.movers.moving_plane import (
     fit_surfaces,
-    MovingPlane,
     Regions,
     settled,
     Surfaces,
@@ -175,8 +174,9 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     ids, next_id = ids_of(size, moves, told.known, memory.next_id)
     known = np.full(len(pair.x), -1)
     known[alike.members] = np.repeat(ids, size)
+    seen = ground.plane if ground.nearer == 1 else None
     planes = {i: plane for i in sorted(np.flatnonzero(ids >= 0), key=lambda i: -size[i])
-              if (plane := _plane(alike, fit, i, view, ground)) is not None}
+              if (plane := settled(fit, alike, i, view, seen)) is not None}
     found = _labelled(extraction, alike, planes, ids, told, view) if planes else extraction
     judged = Judged(pair.x, pair.x_prev, pair.block, told.score, told.left, known)
     return found, memory.after(extraction, judged, next_id)
@@ -251,14 +251,6 @@ def _moves(alike, told, threshold, ground):
             apart = np.linalg.norm(x[alike.rows(i)][:, None] - near, axis=2)
             moves[i] = np.min(apart) < RULES.reach
     return moves
-
-
-def _plane(alike, fit, i, view, ground) -> MovingPlane | None:
-    """Return the moving plane of region i, its gauge settled."""
-    rows = alike.rows(i)
-    at = alike.members[rows]
-    return settled(fit.only(i, rows), alike.x[at], alike.block[at], view,
-                   ground.plane if ground.nearer == 1 else None)
 
 
 def _grown(alike, planes, view):

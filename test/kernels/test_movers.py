@@ -105,6 +105,33 @@ def test_each_surface_is_fitted_as_by_the_formula(scene):
             assert np.mean(inlier) < 0.5
 
 
+def test_each_surface_is_settled_as_by_the_formula(scene):
+    pair, view, ground, _, alike = scene
+    fit, rules = regions._fitted(alike, view, regions.KnownGround()), moving_plane.Rules()
+    priors = []
+    blocks = (alike.x, alike.block, alike.members, alike.first)
+    for i in range(len(alike.first)):
+        for floor in (ground, None):
+            own = compiled.settle_surface(fit, blocks, i, view, floor, rules)
+            expected = reference.settled(fit, alike, i, view, floor, rules)
+            assert (own is None) == (expected is None)
+            for mine, other in zip(own or (), expected or (), strict=True):
+                np.testing.assert_allclose(mine, other, rtol=1e-11, atol=1e-13)
+            priors += [] if own is None else [own[4]]
+    assert set(priors) == ({True, False} if np.any(ground) else {False})
+
+
+def test_only_regions_that_there_are_are_settled(scene):
+    pair, view, ground, _, alike = scene
+    fit = regions._fitted(alike, view, regions.KnownGround())
+    blocks = (alike.x, alike.block, alike.members, alike.first)
+    with pytest.raises(ValueError, match='settle_surface: there must be such a region'):
+        compiled.settle_surface(fit, blocks, len(alike.first), view, None, moving_plane.Rules())
+    beyond = (*blocks[:2], alike.members + len(pair.x), alike.first)
+    with pytest.raises(ValueError, match='settle_surface: members must be blocks'):
+        compiled.settle_surface(fit, beyond, 0, view, None, moving_plane.Rules())
+
+
 def test_regions_are_scored_as_by_the_formula(scene):
     pair, view, ground, _, alike = scene
     ground = ground if np.any(ground) else None
