@@ -105,10 +105,12 @@ class PlaneExtractor:
         if seen.epipolar_inlier[rows].mean() < settings.min_inliers:
             return self._unknown(status.only(whole, rows), status.disagreement(seen[rows])), rows
         known = self._map(whole).known(pair, (whole.width, whole.height))
-        turned = self._turned(status.only(whole, rows), seen[rows], known[rows], fit)
-        if turned is not None:
-            return turned, rows
-        fit, length, ratio = self._map(whole).measured(pair[rows][free], known[rows][free], fit,
+        inlier = rows[seen.epipolar_inlier[rows]]
+        if block_observations.may_turn(seen.parallax[inlier], settings.epsilon_m):
+            turned = self._turned(status.only(whole, rows), seen[rows], known[rows], fit)
+            if turned is not None:
+                return turned, rows
+        fit, length, ratio = self._map(whole).measured(pair[rows[free]], known[rows[free]], fit,
                                                        whole.stamp)
         seen = self._observed(pair, fit)
         floor, road = self._survey(whole, seen, lone, fit, ratio)
@@ -178,11 +180,7 @@ class PlaneExtractor:
     def _turned(self, whole: Extraction, seen: BlockObservations, known: np.ndarray,
                 fit: MotionFit) -> Extraction | None:
         """Label the supported rows of a camera that turns on the spot; None where it moves."""
-        settings = self._settings
-        parallax = seen.parallax[seen.epipolar_inlier]
-        if not block_observations.may_turn(parallax, settings.epsilon_m):
-            return None
-        pair = seen.pair
+        settings, pair = self._settings, seen.pair
         R, covariance, off = estimate.turn(pair, fit.R_cur_from_prev)
         if not block_observations.turns_only(off * pair.sigma, settings.epsilon_m):
             return None

@@ -109,23 +109,29 @@ class View {
   };
   // The points within REACH of a pixel, the CLOSE nearest of them first, in that order.
   void near(double x, double y, std::vector<Near>& out) const {
-    out.clear();
     const int column = Picture::cell_of(x) + MARGIN, row = Picture::cell_of(y) + MARGIN;
     const int left = std::max(column - MARGIN, 0), right = std::min(column + MARGIN, columns_ - 1);
-    for (int r = std::max(row - MARGIN, 0); left <= right && r <= std::min(row + MARGIN, rows_ - 1); ++r)
-      for (int i = start_[r * columns_ + left]; i < start_[r * columns_ + right + 1]; ++i) {
+    std::size_t n = 0;
+    for (int r = std::max(row - MARGIN, 0); left <= right && r <= std::min(row + MARGIN, rows_ - 1); ++r) {
+      const int first = start_[r * columns_ + left], last = start_[r * columns_ + right + 1];
+      out.resize(std::max(out.size(), n + (last - first) + 1));
+      for (int i = first; i < last; ++i) {  // half of them are within: a branch is guessed wrong
         const double dx = items_[i].x - x, dy = items_[i].y - y, square = dx * dx + dy * dy;
-        if (!(square < REACH * REACH)) continue;
-        out.push_back({square, &items_[i]});
-        // The place of the last of the nearest is free for it, or nothing moves.
-        std::size_t k = out.size() - 1;
-        if (k >= CLOSE) {
-          if (!(square < out[CLOSE - 1].square)) continue;
-          std::swap(out[k], out[CLOSE - 1]);
-          k = CLOSE - 1;
-        }
-        for (; k > 0 && out[k].square < out[k - 1].square; --k) std::swap(out[k], out[k - 1]);
+        out[n] = {square, &items_[i]};
+        n += square < REACH * REACH;
       }
+    }
+    out.resize(n);
+    for (std::size_t i = 1; i < n; ++i) {
+      // The place of the last of the nearest is free for it, or nothing moves.
+      std::size_t k = i;
+      if (k >= CLOSE) {
+        if (!(out[k].square < out[CLOSE - 1].square)) continue;
+        std::swap(out[k], out[CLOSE - 1]);
+        k = CLOSE - 1;
+      }
+      for (; k > 0 && out[k].square < out[k - 1].square; --k) std::swap(out[k], out[k - 1]);
+    }
   }
   static constexpr std::size_t CLOSE = 4;
 
