@@ -54,9 +54,10 @@ class Silhouettes:
             seen[_outline(own, size)] = stamp
             # What has a label of its own is none of the mover's.
             seen[~own & (label != Label.UNKNOWN.value)] = NEVER
-            if np.any(seen != NEVER):
+            held = seen != NEVER
+            if held.any():
                 known[id_] = _Silhouette(seen, motion)
-                label[seen != NEVER], plane[seen != NEVER] = Label.MOVING, id_
+                label[held], plane[held] = Label.MOVING, id_
         self._known = known
         return replace(extraction, macroblock_label=label, macroblock_plane=plane)
 
@@ -101,8 +102,9 @@ def _outline(own: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the macroblocks (M,) inside the convex outline of some."""
     columns, rows = grid_shape(*size)
     image = np.zeros((rows, columns), np.uint8)
-    at = np.flatnonzero(own)
+    at, = own.nonzero()
     if len(at):
-        corners = np.stack([at % columns, at // columns], axis=1).astype(np.int32)
+        corners = np.empty((len(at), 2), np.int32)
+        np.divmod(at, columns, out=(corners[:, 1], corners[:, 0]), casting='unsafe')
         cv2.fillConvexPoly(image, cv2.convexHull(corners), 1)
     return image.ravel() > 0

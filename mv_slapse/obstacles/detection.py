@@ -102,7 +102,8 @@ def is_cut(box: np.ndarray, view: View) -> np.ndarray:
 
 def cut_sides(box: np.ndarray, view: View) -> np.ndarray:
     """Return the same for its first and last side, (2, 2) bool."""
-    return np.array([box[:2] < MACROBLOCK / 2, box[:2] + box[2:] > view.size - MACROBLOCK / 2])
+    (x, y, width, height), (across, down), half = box.tolist(), view.size.tolist(), MACROBLOCK / 2
+    return np.array([[x < half, y < half], [x + width > across - half, y + height > down - half]])
 
 
 def detections(extraction: Extraction, view: View, settings: ObstacleSettings) -> list[Detection]:

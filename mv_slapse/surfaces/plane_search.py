@@ -83,7 +83,8 @@ def stationary_planes(depths: Depths, free: np.ndarray, known: KnownPlanes,
         lost = lost[lost.id != id[i]]
     fits = [PlaneFit(own[i], own_covariance[i], member[i], int(id[i]))
             for i in np.flatnonzero(id >= 0)]
-    if len(known):
+    left = ~(known.id[:, None] == id).any(axis=1)
+    if left.any():
         # A plane that is not confirmed yet lasts while nothing takes its place.
-        found += known[~(known.id[:, None] == id).any(axis=1)].unseen()
+        found += known[left].unseen()
     return fits, found
