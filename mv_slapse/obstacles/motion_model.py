@@ -21,7 +21,7 @@ from mv_slapse.kernels.binding import compiled
 import numpy as np
 
 BEARING, LOG_DEPTH, RATE, SLOPE = slice(0, 2), slice(2, 3), slice(3, 6), slice(6, 8)
-SIZE = 8
+SIZE = SLOPE.stop
 SLOPE_NOISE = 0.5  # [1/sqrt(s)] a surface may turn, and another face of it come into view
 MANOEUVRE_TIME = 0.5  # [s] for which an acceleration lasts
 SLOPE_LIMIT = 5.0  # steeper than this the surface is seen edge-on

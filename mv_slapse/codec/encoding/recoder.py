@@ -4,10 +4,10 @@ import av
 from mv_slapse.codec.encoding.encoder import encoding_of, ImageEncoder
 from mv_slapse.codec.frames import codec_of, MAX_PIXELS, numbered, WITH_VECTORS
 from mv_slapse.codec.packet import Packet, Picture
+from mv_slapse.codec.places import KEPT
 from mv_slapse.config import EncoderSettings
 from mv_slapse.errors import UnusableInput
 
-HELD = 64  # packets whose pictures may still be inside the decoder; 16 is the most of HEVC
 # FFmpeg's own decoder of AV1 needs hardware.
 DECODERS = {'av1': 'libdav1d'}
 
@@ -33,7 +33,7 @@ class PictureDecoder:
             self._open(packet)
         self._count += 1
         self._stamps[self._count] = packet.stamp
-        self._stamps.pop(self._count - HELD, None)
+        self._stamps.pop(self._count - KEPT, None)
         return self._decode(numbered(packet.data, self._count)) if packet.data else []
 
     def flush(self) -> list[tuple[av.VideoFrame, int]]:
