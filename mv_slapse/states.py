@@ -74,7 +74,8 @@ CONDITIONS: dict[str, Condition] = {
         Kind.WAITING, VIDEO, 'packets come, but no key picture yet, with which decoding begins',
         'wait, or have the encoder send one every second or two (-g 30)'),
     'initialising': Condition(
-        Kind.WAITING, SCENE, 'there is no pose yet', 'move the camera'),
+        Kind.WAITING, SCENE, 'there is no pose yet', 'move the camera, with scene.camera_height '
+        'over ground in its view'),
     'no_pose': Condition(
         Kind.WAITING, ('obstacle_tracker',), 'slam gives no pose', 'see what slam says'),
     'no_output': Condition(

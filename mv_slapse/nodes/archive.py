@@ -26,6 +26,7 @@ class Archive:
         """Offer the services; where the files go is a read-only parameter, no request says it."""
         self._folder = _folder(node.settings[SceneOutputSettings].output_directory)
         self._rows, self._map, self._has_planes = WaitingRows(), MapArchive(), False
+        self._began: int | None = None
         node.create_service(Trigger, '~/save_map', self._on_save_map)
         node.create_service(Trigger, '~/save_trajectory', self._on_save_trajectory)
 
@@ -34,9 +35,10 @@ class Archive:
         self._rows.close()
         self._map.close()
         self._rows, self._map, self._has_planes = WaitingRows(), MapArchive(), False
+        self._began = None
 
     def add(self, scene: SceneEstimate, previous_stamp: int, frames: RosFrames, origin: Pose):
-        """Take the estimate of a key frame; the first pair also gives the first key frame.
+        """Take the estimate of a key frame; the first in motion also gives where it began.
 
         All is kept in the {W} that belongs to odom's origin, where the base has the pose
         ``origin``, wherever the filter has begun.
@@ -45,10 +47,13 @@ class Archive:
             frames, R_odom_from_start=origin.R, t_odom_from_start=origin.t))
         self._map.add(scene)
         self._has_planes |= bool(scene.planes)
-        if scene.status not in WITH_POSE:
+        has_pose = scene.status in WITH_POSE
+        if self._began is None and (has_pose or scene.baseline):  # no more at rest
+            self._began = previous_stamp
+        if not has_pose:
             return
         if not self._rows.n:
-            self._rows.add(format_row(previous_stamp, np.eye(3), np.zeros(3)))
+            self._rows.add(format_row(self._began, np.eye(3), np.zeros(3)))
         self._rows.add(format_row(scene.stamp, scene.R_world_from_cam, scene.t_world_from_cam))
 
     def _on_save_map(self, _request, response):

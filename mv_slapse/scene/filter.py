@@ -27,7 +27,8 @@ from mv_slapse.scene import state as scene_state
 from mv_slapse.scene import update as scene_update
 from mv_slapse.scene.noise import Agreement, Dependence
 from mv_slapse.scene.observations import Observation
-from mv_slapse.scene.progress import PATIENCE, Progress, SHORTEST
+from mv_slapse.scene.progress import Progress, SHORTEST
+from mv_slapse.scene.scale import height as scene_height
 from mv_slapse.scene.scale import ratio as scene_ratio
 from mv_slapse.scene.scale import rest as scene_rest
 from mv_slapse.scene.scale import speed as scene_speed
@@ -43,7 +44,8 @@ STANDING = 'the camera stands still'
 TURNING = 'the camera turns on the spot'
 SCALELESS = ('no known plane is in view: the direction of the way is observed, its length is '
              'predicted')
-WAITING = 'the ground, whose depth the camera\'s height tells in metres, has not been seen yet'
+WAITING = ('the ground, whose depth the camera\'s height tells in metres, has not been seen alike '
+           f'in {scene_height.ENOUGH} successive pairs yet')
 CONTRADICTED = 'all known planes in view contradict the map'
 FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
 FIRST_METRIC_SIGMA = 0.1  # of the ground's depth, or the way, in the pair that tells metres
@@ -67,7 +69,7 @@ class SceneFilter:
         self._progress = Progress(0, 0.0)
         self._map = scene_map.SceneMap()
         self.distances: dict[int, float] = {}
-        self._ride, self._agreement = Ride(), Agreement()
+        self._ride, self._agreement, self._grounds = Ride(), Agreement(), scene_height.Grounds()
         self._dependence = Dependence(settings.dependence)
         self._speeds = SpeedLog()
 
@@ -98,7 +100,7 @@ class SceneFilter:
         self._map.accept(self._state, handovers)
         leaving = self._map.release(self._state, extraction)
         status, reason = self._advance(extraction)
-        if self._settings.camera_height and self._progress.waits_for_metres:
+        if self._is_unscaled and self._progress.waits_for_metres:
             status, reason = TrackingStatus.INITIALISING, WAITING
         self._progress.publish(status, self._state.current.t)
         self._progress.repairs += ekf.repair(self._state.error)
@@ -129,7 +131,7 @@ class SceneFilter:
             return TrackingStatus.INITIALISING, reason
         if status == MotionStatus.UNKNOWN:
             self._coast(dt, extraction.previous_stamp)
-            return self._unsupported(extraction.stamp, reason)
+            return self._progress.unsupported(extraction.stamp, reason)
         self._predict(dt)
         return self._correct(extraction, follows)
 
@@ -137,6 +139,11 @@ class SceneFilter:
     def _is_tied(self) -> bool:
         """Whether more than the map tells lengths: metres, or a height that stays."""
         return self._progress.metric or self._ride.height > 0
+
+    @property
+    def _is_unscaled(self) -> bool:
+        """Whether a camera height is given that has told no metres yet."""
+        return self._settings.camera_height > 0 and not self._progress.metric
 
     def _catch_up(self, extraction: Extraction) -> bool:
         """Predict through pairs that never came; return whether there was none.
@@ -246,13 +253,6 @@ class SceneFilter:
         return scene_speed.way(self._speeds, self._state, self._progress, start, turn,
                                self._settings)
 
-    def _unsupported(self, stamp: int, reason: str):
-        """Judge a pose that is predicted only."""
-        age = (stamp - self._progress.supported) * 1e-9
-        if age > self._settings.lost_after:
-            return TrackingStatus.LOST, f'{reason}; nothing observed for {age:.1f} s'
-        return TrackingStatus.PREDICTED, reason
-
     def _correct(self, extraction: Extraction, follows: bool):
         """Update with the pair's correspondences and with what is known of the scale."""
         first = not self._progress.started or self._progress.anew
@@ -265,7 +265,7 @@ class SceneFilter:
         shown = scene_input.shown(self._state.previous, extraction.motion, baseline)
         expected = replace(self._state, current=shown) if self._progress.rested else self._state
         known = self._known(scene_gate.distances(expected, extraction, settings))
-        trusted = self._trusted(extraction, known)
+        trusted = scene_gate.trusted(self._state, extraction, known, self._progress.misses)
         ground = scene_gate.ground_of(extraction, trusted)
         ids = self._map.join(self._state, extraction, known, trusted, baseline, shown)
         index = np.full(len(pair), -1)
@@ -290,14 +290,16 @@ class SceneFilter:
             self._progress.going = self._progress.interval
         # Not the speed now: what comes to rest could hardly start again, the scale would shrink.
         self._progress.fastest = max(norm(self._state.velocity), self._progress.fastest)
-        self._ride = self._ride.seen(self._state, extraction, ground, settings)
+        if not self._is_unscaled:
+            self._ride = self._ride.seen(self._state, extraction, ground, settings)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
         if first or known or (ratio or way) and not self.distances:
             self._progress.see(extraction.stamp)
             self._progress.rested, self._progress.started = False, True
             return TrackingStatus.OK, ''
-        return self._unsupported(extraction.stamp, CONTRADICTED if self.distances else SCALELESS)
+        return self._progress.unsupported(
+            extraction.stamp, CONTRADICTED if self.distances else SCALELESS)
 
     def _known(self, distances: dict[int, float]) -> set[int]:
         """Return the planes that are where they were predicted, by their squared distances."""
@@ -306,26 +308,10 @@ class SceneFilter:
         self._agreement = self._agreement.seen(distances.values())
         return {id for id, squared in self.distances.items() if squared < self._settings.gate}
 
-    def _trusted(self, extraction: Extraction, known: set[int]) -> set[int]:
-        """Return the planes seen that the update may use, and count what contradicts the map.
-
-        One pair's plane is wrong far more often than the map's, so one that contradicts the map
-        must do so for a while before it takes the other's place.
-        """
-        shown = {plane.id for plane in extraction.planes if plane.label == Label.STATIONARY}
-        contradicting = shown & self._state.planes.keys() - known
-        misses = self._progress.misses
-        misses.update(contradicting)
-        trusted = {id for id in shown if id not in contradicting or misses[id] > PATIENCE}
-        for id in trusted:
-            del misses[id]
-        return trusted
-
     def _baseline(self, extraction: Extraction, way: Way | None) -> float:
         """Return the best guess of the distance between the pair's key frames [map unit]."""
         settings, progress = self._settings, self._progress
         guess = norm(self._state.current.t - self._state.previous.t)
-        ground = scene_gate.ground_plane(extraction)
         if way:
             if not progress.metric:
                 self._make_metric(way.length / max(guess, 1e-9), scene_speed.SOURCE)
@@ -335,16 +321,30 @@ class SceneFilter:
             slow = max(guess, SLOW * progress.fastest * progress.interval)
             again = progress.carried and scene_ratio.baseline(self._state, extraction)
             return again or scene_rest.first_baseline(self._state, extraction, height) or slow
-        if not progress.metric and settings.camera_height and ground is not None:
-            # The camera's height is the ground's depth: 1 / |n/d| in units of the baseline.
-            metric = settings.camera_height * norm(ground)
-            self._make_metric(metric / max(guess, 1e-9), 'camera height')
-            return metric
-        if progress.started and guess > 1e-9:
-            return guess
-        supposed = scene_rest.supposed_baseline(extraction, settings.camera_height)
-        scene_gauge.doubt_scale(self._state, scene_rest.SUPPOSED_SIGMA if supposed else 0.0)
-        return supposed or 1.0
+        if not progress.started or guess < 1e-9:
+            supposed = scene_rest.supposed_baseline(extraction, settings.camera_height)
+            scene_gauge.doubt_scale(self._state, scene_rest.SUPPOSED_SIGMA if supposed else 0.0)
+            guess = supposed or 1.0
+        return guess * self._metres(extraction, guess) if self._is_unscaled else guess
+
+    def _metres(self, extraction: Extraction, guess: float) -> float:
+        """Return by what lengths grow where grounds agree at last on what a metre is, else 1.
+
+        A pair's ratio to the one before tells its way [map unit]; the first one is the unit.
+        """
+        progress, told = self._progress, scene_ratio.baseline(self._state, extraction)
+        length = told * progress.carried if progress.started else guess
+        if not length or scene_gate.ground_plane(extraction) is None:
+            return 1.0
+        progress.told_metres()
+        self._grounds = self._grounds.seen(extraction, length, self._settings)
+        metres = self._grounds.metres()
+        if metres is None:
+            return 1.0
+        if self._map.ground in self._state.planes:  # It may be one that they contradict.
+            self._map.leave(self._state, self._map.ground)
+        self._make_metric(metres, scene_height.SOURCE)
+        return metres
 
     def _make_metric(self, factor: float, source: str):
         """Make lengths metres by a factor, which compares one pair with its prediction.
@@ -391,7 +391,8 @@ class SceneFilter:
 
     def _rigid(self, ground: int | None) -> list[Observation]:
         """Return what is known of a mounted camera."""
-        return [] if ground is None else self._ride.observations(ground, self._settings)
+        told = ground is not None and not self._is_unscaled
+        return self._ride.observations(ground, self._settings) if told else []
 
     def _forget(self, stamp: int):
         """Marginalise planes out that have had no support for long, unless they may return."""

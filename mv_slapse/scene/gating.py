@@ -1,12 +1,32 @@
 """Which planes of the map a new extraction may correct."""
 
+from collections import Counter
+
 from mv_slapse.config import SceneSettings
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Extraction, Label, PlaneObservation
+from mv_slapse.scene.progress import PATIENCE
 from mv_slapse.scene.state import log_baseline, SceneState
 import numpy as np
 
 RATIO_GATE = 10.8  # 99.9 % of chi-square with one degree of freedom
+
+
+def trusted(state: SceneState, extraction: Extraction, known: set[int],
+            misses: Counter[int]) -> set[int]:
+    """Return the planes seen that the update may use, and count what contradicts the map.
+
+    One pair's plane is wrong far more often than the map's, so one that contradicts the map must
+    do so for a while before it takes the other's place. ``known`` are those that do not, and
+    ``misses`` counts how often in a row each plane has.
+    """
+    shown = {plane.id for plane in extraction.planes if plane.label == Label.STATIONARY}
+    contradicting = shown & state.planes.keys() - known
+    misses.update(contradicting)
+    found = {id for id in shown if id not in contradicting or misses[id] > PATIENCE}
+    for id in found:
+        del misses[id]
+    return found
 
 
 def ground_of(extraction: Extraction, trusted: set[int]) -> int | None:

@@ -22,14 +22,16 @@ class Progress:
     since a rest; ``anew``: nor since the scene began anew, ``resets``: how often it did;
     ``repairs``: how often its covariance was put right; ``blind`` [s]: predicted since the last
     observation; ``misses``: how often in a row each plane has contradicted the map; ``interval``
-    [s]: between the last two key frames; ``age`` [s]: since the first, ``going`` [s]: since the
-    camera started to move; ``place``: position (3,) that was published last.
+    [s]: between the last two key frames; ``age`` [s]: since the camera first moved, ``told`` [s]:
+    what that was when a ground told metres last; ``going`` [s]: since the camera started to move;
+    ``place``: position (3,) that was published last.
     """
 
     stamp: int
     lost_after: float
     interval: float = 0.0
     age: float = 0.0
+    told: float = 0.0
     going: float = 0.0
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
     supported: int | None = None
@@ -56,8 +58,12 @@ class Progress:
 
     @property
     def waits_for_metres(self) -> bool:
-        """Return whether lengths should soon become metres, which they are not yet."""
-        return self.started and not self.metric and self.age < self.lost_after
+        """Return whether lengths should soon become metres, which they are not yet.
+
+        Not soon where no ground is seen, or where grounds keep contradicting each other.
+        """
+        return (self.started and not self.metric and self.age < self.horizon
+                and self.age - self.told < self.lost_after)
 
     def free_acceleration(self, speed: float, share: float) -> float:
         """Return the random walk of a velocity [unit/s^1.5] whose unit nobody knows.
@@ -74,6 +80,11 @@ class Progress:
         """
         self.misses[DEPTHS] = self.misses[DEPTHS] + 1 if compared and not told else 0
         return not told and not 0 < self.misses[DEPTHS] <= PATIENCE
+
+    def told_metres(self):
+        """Note that a ground tells metres, which others have to confirm, if they are awaited."""
+        if self.waits_for_metres:
+            self.told = self.age
 
     def publish(self, status: TrackingStatus, place: np.ndarray):
         """Note where the camera is said to be."""
@@ -93,9 +104,16 @@ class Progress:
         elif self.supported is not None:
             self.supported = min(self.supported, stamp)
         self.stamp = stamp
-        self.age += self.interval
+        self.age += self.interval * self.started
         self.going += self.interval
         return self.interval
+
+    def unsupported(self, stamp: int, reason: str) -> tuple[TrackingStatus, str]:
+        """Judge a pose that is predicted only."""
+        age = (stamp - self.supported) * 1e-9
+        if age > self.lost_after:
+            return TrackingStatus.LOST, f'{reason}; nothing observed for {age:.1f} s'
+        return TrackingStatus.PREDICTED, reason
 
     def see(self, stamp: int):
         """Note an observation that the filter has accepted."""

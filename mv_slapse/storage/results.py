@@ -57,6 +57,7 @@ class ResultsWriter:
         self._map = MapArchive()
         self._size = (camera.width, camera.height) if camera else (0, 0)
         self._has_origin = self._is_closed = False
+        self._began: int | None = None
         #: pose of the first key frame's camera
         self.origin = Pose(np.eye(3), np.zeros(3))
 
@@ -77,8 +78,11 @@ class ResultsWriter:
             Where it cannot be written; names what there is.
         """
         scene = step.scene
+        has_pose = scene.status in WITH_POSE
+        if self._began is None and (has_pose or scene.baseline):  # no more at rest
+            self._began = step.correspondences.previous_stamp
         try:
-            if scene.status in WITH_POSE:
+            if has_pose:
                 self._write_pose(step)
                 _put(self._planes, tables.plane_rows(scene))
             _put(self._obstacles, (tables.obstacle_row(o) for o in step.obstacles))
@@ -136,8 +140,7 @@ class ResultsWriter:
         scene, rows = step.scene, []
         if not self._has_origin:
             self._has_origin = True
-            rows.append(tum.format_row(step.correspondences.previous_stamp, self.origin.R,
-                                       self.origin.t))
+            rows.append(tum.format_row(self._began, self.origin.R, self.origin.t))
         rows.append(tum.format_row(scene.stamp, scene.R_world_from_cam, scene.t_world_from_cam))
         _put(self._trajectory, rows)
 

@@ -8,6 +8,7 @@ from mv_slapse.level import levelled
 from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.pipeline import Slapse
 from mv_slapse.records import Correspondences, SegmentKind
+from mv_slapse.scene.scale.height import ENOUGH
 from mv_slapse.simulation.drawn import draw_pair
 from mv_slapse.simulation.street import Street, StreetSettings
 import numpy as np
@@ -15,6 +16,7 @@ from sensor_msgs.msg import CameraInfo
 
 STEP = 4  # frames between key frames
 HEIGHT = 1.65  # [m] of the camera
+WITHOUT_POSE = ENOUGH - 1  # first pairs, before the height tells metres
 
 
 @cache

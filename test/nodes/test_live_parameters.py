@@ -75,18 +75,20 @@ def test_a_new_height_of_the_camera_reaches_the_filter_and_the_pose_goes_on(benc
     odometry = bench.listen(Odometry, 'odometry')
     node = bench.start(SlamNode, tf_wait=0.0, scene__camera_height=drives.HEIGHT)
     publisher = bench.advertise(PlaneObservations, 'planes/observations')
-    steps = drives.steps(4)
-    for step in steps[:3]:
+    steps = drives.steps(4 + 2 * drives.WITHOUT_POSE)
+    for step in steps[:3 + drives.WITHOUT_POSE]:
         publisher.publish(seen(step))
     assert bench.spin(lambda: len(odometry) == 3, 20)
     [result] = change(bench, 'slam', scene__camera_height=2 * drives.HEIGHT)
     assert result.successful
     assert node.settings[SceneSettings].camera_height == 2 * drives.HEIGHT
-    publisher.publish(seen(steps[3]))
+    for step in steps[3 + drives.WITHOUT_POSE:]:
+        publisher.publish(seen(step))
     assert bench.spin(lambda: len(odometry) == 4, 20)
     x = [msg.pose.pose.position.x for msg in odometry]
-    # as long again as before, from where the trajectory had come to
-    assert x[3] - x[2] == pytest.approx(2 * (x[2] - x[1]), rel=0.25)
+    # twice as long as before, from where the trajectory had come to
+    pairs = 1 + drives.WITHOUT_POSE
+    assert x[3] - x[2] == pytest.approx(2 * pairs * (x[2] - x[1]), rel=0.25)
     assert value_of(node, 'resets') == '1'
 
 

@@ -28,7 +28,8 @@ import numpy as np  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
-N = 4
+N = 4  # poses
+PAIRS = N + drives.WITHOUT_POSE
 PARAMETERS = {'scene__camera_height': drives.HEIGHT, 'tf_wait': 0.0}
 
 
@@ -41,7 +42,7 @@ class Output(Shell):
         self.output.publish(scene, RosFrames(), self.placement)
 
 
-def feed(bench, n=N):
+def feed(bench, n=PAIRS):
     publisher = bench.advertise(PlaneObservations, 'planes/observations')
     for step in drives.steps(n):
         publisher.publish(to_message(PlaneObservations, fields.extraction_to_fields(
@@ -54,7 +55,7 @@ def position(msg):
     return np.array([p.x, p.y, p.z])
 
 
-def expected_positions(n=N):
+def expected_positions(n=PAIRS):
     """Return where the base is in odom, which stands on the ground."""
     return np.array([pose.t for pose in drives.in_odom([step.scene for step in drives.steps(n)])])
 
@@ -66,12 +67,12 @@ def test_observations_give_the_poses_and_the_map_of_the_filter(bench):
     maps = bench.listen(PlaneMap, 'planes/map', LATCHED)
     bench.start(SlamNode, **PARAMETERS)
     feed(bench)
-    assert bench.spin(lambda: len(odometry) == N and len(maps) == N and len(twists) == N, 30)
+    assert bench.spin(lambda: len(odometry) == N and len(maps) == PAIRS and len(twists) == N, 30)
     np.testing.assert_allclose([position(m) for m in odometry], expected_positions(), atol=1e-9)
     assert [m.pose for m in poses] == [m.pose for m in odometry]
     assert odometry[0].header.frame_id == maps[0].header.frame_id == 'odom'
     assert odometry[0].child_frame_id == twists[0].header.frame_id == 'base_link'
-    scene = drives.steps(N)[-1].scene
+    scene = drives.steps(PAIRS)[-1].scene
     assert [p.id for p in maps[-1].planes] == [p.id for p in scene.planes]
     velocity = odometry[-1].twist.twist.linear
     forward = scene.R_world_from_cam.T @ scene.velocity_world
@@ -100,7 +101,7 @@ def test_the_pose_is_that_of_the_base_where_the_camera_has_a_place_on_it(bench):
     bench.start(SlamNode, base_from_camera=place, **PARAMETERS)
     feed(bench)
     assert bench.spin(lambda: len(odometry) == N, 30)
-    scene = drives.steps(N)[-1].scene
+    scene = drives.steps(PAIRS)[-1].scene
     R = R_BODY_FROM_OPTICAL @ scene.R_world_from_cam @ R_BODY_FROM_OPTICAL.T
     camera_in_odom = position(odometry[-1]) + R @ place[:3]
     t = scene.t_world_from_cam  # x forward is z of {W}, y left is -x, z up is -y
@@ -117,7 +118,8 @@ def test_trajectory_and_map_are_saved_where_the_parameter_says(bench, tmp_path):
     rows = np.loadtxt(Path(response.message))
     np.testing.assert_allclose(rows[0], [0, 0, 0, 0, 0, 0, 0, 1])
     np.testing.assert_allclose(rows[1:, 1:4], [step.scene.t_world_from_cam
-                                               for step in drives.steps(N)], atol=1e-8)
+                                               for step in drives.steps(PAIRS)[-N:]], atol=1e-8)
+    assert rows[0, 0] == drives.steps(1)[0].extraction.previous_stamp / 1e9
     assert bench.call(Trigger, '/slam/save_map').success
     assert (tmp_path / 'saved' / 'map.json').read_text().startswith('{')
 
@@ -209,14 +211,15 @@ def test_a_plane_handed_over_by_the_tracker_takes_effect_at_the_next_key_frame(b
     maps = bench.listen(PlaneMap, 'planes/map', LATCHED)
     bench.start(SlamNode, **PARAMETERS)
     handovers = bench.advertise(PlaneHandover, 'planes/handover')
-    record = made_up.handover(np.random.default_rng(0), drives.steps(N)[1].scene.stamp)
+    record = made_up.handover(np.random.default_rng(0), drives.steps(PAIRS)[1].scene.stamp)
     record = replace(record, id=77, to_label=Label.STATIONARY, plane=np.array([0, 0, -0.05]),
                      velocity=np.zeros(3), covariance=1e-6 * np.eye(6))
     handovers.publish(to_message(PlaneHandover, fields.handover_to_fields(record, RosFrames())))
     bench.spin(lambda: False, 0.3)
     feed(bench)
-    assert bench.spin(lambda: len(maps) == N, 30)
-    assert [77 in [plane.id for plane in msg.planes] for msg in maps] == [False, False, True, True]
+    assert bench.spin(lambda: len(maps) == PAIRS, 30)
+    has_joined = [77 in [plane.id for plane in msg.planes] for msg in maps]
+    assert has_joined == [False] * 2 + [True] * 4
 
 
 def test_where_a_message_was_lost_the_robot_does_as_a_replay_of_the_rest(bench):
@@ -230,7 +233,7 @@ def test_where_a_message_was_lost_the_robot_does_as_a_replay_of_the_rest(bench):
     for extraction in rest:
         publisher.publish(to_message(PlaneObservations, fields.extraction_to_fields(
             extraction, RosFrames(camera='cam'))))
-    assert bench.spin(lambda: len(odometry) == 7, 30)
+    assert bench.spin(lambda: len(odometry) == 7 - drives.WITHOUT_POSE, 30)
     filter_ = SceneFilter(SceneSettings(camera_height=drives.HEIGHT))
     replayed = drives.in_odom([filter_.step(extraction)[0] for extraction in rest])
     np.testing.assert_allclose([position(msg) for msg in odometry],
@@ -257,12 +260,12 @@ def drive_with_wheels(bench, offset=0):
     assert bench.spin(lambda: 'messages on wheel_odometry' in str(node.health.status().values))
     bench.spin(lambda: False, 0.3)
     feed(bench)
-    assert bench.spin(lambda: len(received[0]) == N and len(received[1]) == N, 30)
+    assert bench.spin(lambda: len(received[0]) == len(received[1]) == PAIRS, 30)
     return node, speeds, *received
 
 
 def extractions():
-    return [step.extraction for step in drives.steps(N)]
+    return [step.extraction for step in drives.steps(PAIRS)]
 
 
 def test_the_speed_of_wheels_makes_the_scale_metric_as_in_a_replay(bench):

@@ -112,7 +112,7 @@ def test_poison_on_a_side_input_hinders_nothing(bench, message_type, topic, prof
     side.publish(message)
     assert bench.spin(lambda: value_of(node, f'rejected on {topic}') == '1')
     publisher = bench.advertise(PlaneObservations, 'planes/observations')
-    for step in drives.steps(3):
+    for step in drives.steps(3 + drives.WITHOUT_POSE):
         publisher.publish(observations(step))
     assert bench.spin(lambda: len(odometry) == 3, 20)
 
@@ -123,7 +123,7 @@ def test_poison_in_the_map_and_the_pose_does_not_end_the_tracker(bench):
     topics = {PlaneObservations: 'planes/observations', Odometry: 'odometry'}
     publishers = {kind: bench.advertise(kind, topic) for kind, topic in topics.items()}
     maps = bench.advertise(PlaneMap, 'planes/map', LATCHED)
-    step = drives.steps(1)[0]
+    step = drives.steps(1 + drives.WITHOUT_POSE)[-1]
     pose = to_message(Odometry, fields.odometry_to_fields(step.scene, FRAMES))
     plane_map = to_message(PlaneMap, fields.plane_map_to_fields(step.scene, FRAMES))
     pose.pose.pose.orientation.w = 9.0

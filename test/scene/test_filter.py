@@ -14,8 +14,10 @@ from mv_slapse.records import (
     TrackingStatus,
 )
 from mv_slapse.scene import plane_map as scene_map
-from mv_slapse.scene.filter import PATIENCE, SceneFilter
+from mv_slapse.scene.filter import SceneFilter
 from mv_slapse.scene.input import stationary
+from mv_slapse.scene.progress import PATIENCE
+from mv_slapse.scene.scale.height import ENOUGH
 from numeric import jacobian
 import numpy as np
 import pytest
@@ -40,7 +42,7 @@ def test_without_noise_the_trajectory_is_exact():
     assert max(position_errors(canyon, estimates)) < 0.02
     assert max(turn_errors(canyon, estimates)) < 1e-3
     last = estimates[-1]
-    assert all(e.status is TrackingStatus.OK for e in estimates)
+    assert all(e.status is TrackingStatus.OK for e in estimates[ENOUGH - 1:])
     R = canyon.pose(30)[0]
     np.testing.assert_allclose(last.velocity_world, SPEED * R[:, 2], atol=0.3)
     np.testing.assert_allclose(last.omega_cam, [0, canyon.yaw_rate, 0], atol=0.01)
@@ -256,7 +258,8 @@ def test_until_the_ground_is_found_the_covariance_holds_that_lengths_are_guessed
     along = guessed.t_world_from_cam / length
     sigma = np.sqrt(along @ guessed.pose_covariance[:3, :3] @ along)
     assert 0.2 * length < sigma < 0.25 * length
-    found, _ = filter_.step(canyon.extraction(6))
+    found = driven(canyon, 5 + ENOUGH, filter_=filter_, first=6)[-1]
+    assert found.scale_status is ScaleStatus.METRIC
     assert np.sqrt(along @ found.pose_covariance[:3, :3] @ along) < 0.05 * length
 
 
@@ -279,10 +282,11 @@ def test_a_ground_found_later_makes_the_scale_metric():
 def test_a_ground_found_after_more_than_a_second_leaves_what_was_published():
     canyon, filter_ = Canyon(), SceneFilter(METRIC)
     early = [filter_.step(without_ground(canyon.extraction(k)))[0] for k in range(1, 16)]
-    assert {e.status for e in early[-5:]} == {TrackingStatus.OK}
+    assert {e.status for e in early[11:]} == {TrackingStatus.OK}
     later = driven(canyon, 30, filter_=filter_, first=16)
     assert unexplained_step([*early, *later]) == 0
-    for k, estimate in enumerate(later, 16):
+    for k, estimate in enumerate(later[ENOUGH - 1:], 15 + ENOUGH):
+        assert estimate.scale_status is ScaleStatus.METRIC
         error = canyon.pose(k)[1] - estimate.t_world_from_cam
         assert error @ np.linalg.solve(estimate.pose_covariance[:3, :3], error) < 14.2
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.records import TrackingStatus
-from mv_slapse.scene.filter import PATIENCE, SceneFilter
+from mv_slapse.scene.filter import SceneFilter
+from mv_slapse.scene.progress import PATIENCE
 import numpy as np
 import pytest
 from scene_drive import Canyon, driven, METRIC, SPEED

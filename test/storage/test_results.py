@@ -39,7 +39,9 @@ def made_up_step(rng, k, status=TrackingStatus.OK):
 
 @pytest.fixture
 def steps(rng):
-    return [made_up_step(rng, k, status) for k, status in enumerate(STATUSES)]
+    made = [made_up_step(rng, k, status) for k, status in enumerate(STATUSES)]
+    made[0].scene = replace(made[0].scene, baseline=0.0)  # it has not moved yet
+    return made
 
 
 @pytest.fixture
@@ -65,6 +67,15 @@ def test_only_poses_that_are_known_are_written_after_the_origin(out, steps):
     np.testing.assert_array_equal(trajectory.positions[0], 0)
     np.testing.assert_allclose(trajectory.positions[2], steps[3].scene.t_world_from_cam,
                                atol=1e-9)
+
+
+def test_the_origin_is_where_the_camera_first_moved_though_poses_came_later(tmp_path, steps):
+    steps[0].scene = replace(steps[0].scene, baseline=1.0)
+    with ResultsWriter(tmp_path) as writer:
+        for step in steps:
+            writer.write(step)
+    trajectory = read_trajectory(tmp_path / 'trajectory.tum')
+    np.testing.assert_array_equal(trajectory.stamps, [0, 2 * PERIOD, 4 * PERIOD])
 
 
 def test_a_run_that_is_lost_throughout_has_no_pose(tmp_path, rng):

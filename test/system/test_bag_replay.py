@@ -21,6 +21,7 @@ from mv_slapse.evaluation import trajectory as evaluation  # noqa: E402
 from mv_slapse.fields import scene_from_messages, stamp_from_message  # noqa: E402
 from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.records import TrackingStatus  # noqa: E402
+from mv_slapse.scene.scale.height import ENOUGH  # noqa: E402
 from mv_slapse.simulation.street import Street, StreetSettings  # noqa: E402
 from mv_slapse.simulation.truth import film  # noqa: E402
 from mv_slapse.storage.bag_reader import BagReader  # noqa: E402
@@ -204,11 +205,12 @@ def test_no_message_is_lost_between_the_nodes(recorded):
     pairs = messages(recorded, '/correspondences')
     stamps = sorted(pairs)
     assert [stamp_from_message(pairs[s].previous_stamp) for s in stamps[1:]] == stamps[:-1]
-    for topic in ('/planes/observations', '/planes/map', '/obstacles', '/obstacles/points'):
+    for topic in ('/planes/observations', '/planes/map'):
         assert sorted(messages(recorded, topic)) == stamps, topic
     with_pose = [s for s, m in messages(recorded, '/planes/map').items()
                  if m.tracking in (TrackingStatus.OK, TrackingStatus.PREDICTED)]
-    for topic in ('/odometry', '/pose', '/twist'):
+    assert sorted(with_pose) == stamps[ENOUGH - 1:]  # the camera's height tells metres by then
+    for topic in ('/odometry', '/pose', '/twist', '/obstacles', '/obstacles/points'):
         assert sorted(messages(recorded, topic)) == sorted(with_pose), topic
 
 
