@@ -57,6 +57,15 @@ BELOW = {
 }
 
 
+@pytest.mark.parametrize('path', FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_no_function_has_more_than_six_parameters(path):
+    for function in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        if isinstance(function, ast.FunctionDef):
+            taken = function.args
+            names = [one.arg for one in (*taken.posonlyargs, *taken.args, *taken.kwonlyargs)]
+            assert len([name for name in names if name not in ('self', 'cls')]) <= 6, function.name
+
+
 def folder_of(path: Path) -> str:
     return path.relative_to(PACKAGE).with_suffix('').parts[0]
 

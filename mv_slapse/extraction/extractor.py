@@ -120,7 +120,8 @@ class PlaneExtractor:
         pair = evidence.pair
         told = Told(known[rows], length, ratio)
         found = self._named(Found(
-            fit, evidence, self._planes(blank, evidence, fit, told, floor, free[rows], road[rows]),
+            fit, evidence, self._planes(blank, Found(fit, evidence, []), told, floor,
+                                        (free[rows], road[rows])),
             foreseen=self._map(whole).foreseen(pair, told.known, fit, length)))
         found = self._moving(blank, pair, found, floor, ratio)
         found = self._refined(pair, found, floor)
@@ -250,9 +251,10 @@ class PlaneExtractor:
         return possibly_dynamic.below(pair.rays_cur, rho, per_pixel * pair.sigma,
                                       prior.normal * prior.inverse_depth, prior.spread)
 
-    def _planes(self, blank, evidence, fit, told: Told, prior: GroundPrior,
-                free, road: np.ndarray) -> list[PlaneFit]:
-        """Find the ground, then known planes, then new ones, among stationary blocks."""
+    def _planes(self, blank, begun: Found, told: Told, prior: GroundPrior,
+                blocks: tuple[np.ndarray, np.ndarray]) -> list[PlaneFit]:
+        """Find the ground, known planes and new ones, among ``blocks`` (free ones, road) (N,)."""
+        evidence, (free, road) = begun.evidence, blocks
         pair = evidence.pair
         depths = Depths(pair.rays_cur, evidence.rho, evidence.sigma_rho, blank.x_cur)
         free = free & evidence.has_depth
@@ -261,14 +263,14 @@ class PlaneExtractor:
         if floor is not None:
             found.append(replace(floor, id=self._memory.ground.id))
             free = free & ~floor.member
-        known = self._known(blank, fit, told.ratio)
+        known = self._known(blank, begun.fit, told.ratio)
         depths = replace(depths, sigma=evidence.blur)
         if np.isfinite(told.ratio.sigma):
-            depths = self._map(blank).joined(pair, told.known, fit, told.length, depths)
+            depths = self._map(blank).joined(pair, told.known, begun.fit, told.length, depths)
         walls, known = plane_search.stationary_planes(
             depths, free, known,
             prior.normal if floor is None else floor.plane / np.linalg.norm(floor.plane),
-            self._settings, self._settings.max_planes - len(found), self._memory.next_id)
+            self._settings, (self._settings.max_planes - len(found), self._memory.next_id))
         newest = int(known.id.max(initial=-1))
         self._memory = replace(
             self._memory, planes=known, next_id=max(self._memory.next_id, newest + 1))
@@ -344,8 +346,8 @@ class PlaneExtractor:
         stationary &= (found.moving.label != Label.MOVING.value) & ~found.doubtful
         index[~stationary] = joint.LEFT_OUT
         R, t, values, covariance = joint.reestimate(
-            pair, (fit.R_cur_from_prev, fit.t_cur_from_prev),
-            [plane.plane for plane in planes], index, settings.relief,
+            pair, (fit.R_cur_from_prev, fit.t_cur_from_prev, [plane.plane for plane in planes]),
+            index, settings.relief,
             expected=[(i, *prior.upright(plane.plane)) for i, plane in enumerate(planes)
                       if plane.is_ground and plane.member.sum() < settings.min_macroblocks])
         fit = replace(fit, R_cur_from_prev=R, t_cur_from_prev=t, covariance=covariance[:6, :6])
@@ -362,7 +364,7 @@ class PlaneExtractor:
         """Write labels and planes down and keep what the next pair needs."""
         label, plane_id = labels(found)
         seen = (*observations(blank.x_cur, found), *found.moving.planes)
-        self._remember(blank, pair, found, seen, plane_id, noise, prior)
+        self._remember(blank, pair, found, seen, noise, prior)
         fit = found.fit
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev,
                               fit.covariance, bool(fit.t_cur_from_prev[2] < 0))
@@ -377,7 +379,7 @@ class PlaneExtractor:
         self._memory = replace(self._memory, next_id=next(ids))
         return replace(found, planes=planes)
 
-    def _remember(self, blank, pair, found: Found, observations, plane_id, noise, prior):
+    def _remember(self, blank, pair, found: Found, observations, noise, prior):
         """Keep motion, labels, ground and depths for the next pair."""
         floor = next((plane for plane in observations if plane.is_ground), None)
         track = self._memory.ground

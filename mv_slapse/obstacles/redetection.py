@@ -43,8 +43,9 @@ def found(mu: np.ndarray, P: np.ndarray, box: np.ndarray, extraction: Extraction
         return None
 
     rays = to_rays(view.K, extraction.x_cur[at].astype(float))
-    theta, information, near, own = _rate(mu, P, rays, extraction, at, view,
-                                          settings.vector_bias)
+    theta, information, near, own = _rate(
+        mu, P, rays, extraction.x_prev[at].astype(float),
+        extraction.sigma[at].astype(float)**2 + settings.vector_bias**2, view)
     least = max(settings.min_macroblocks, LEAST_SHARE * len(at))
     if not _fill(extraction, at[near], box, least):
         return None
@@ -88,15 +89,14 @@ def _fill(extraction, own, box, number):
     return bool(len(own) >= number and area.sum() >= least and area[low].sum() >= least / 2)
 
 
-def _rate(mu, P, rays, extraction, at, view, bias):
+def _rate(mu, P, rays, x_prev, variance, view):
     """Return displacement over depth (3,), its information (3, 3), and which blocks (N,) bool.
 
     The blocks that move as predicted, as far as that is known, and those of them that move as
     one. What lies behind an obstacle, or before it, may pass for its own by a prediction that
     lags, as where it brakes; it does not agree with the rest.
     """
-    variance = extraction.sigma[at].astype(float)**2 + bias**2
     return compiled.redetect_rate(
-        mu, view.dt**2 * P[om.RATE, om.RATE], rays, extraction.x_prev[at].astype(float), variance,
+        mu, view.dt**2 * P[om.RATE, om.RATE], rays, x_prev, variance,
         view.dt, (view.K, view.R_cur_from_prev),
         (ekf.chi2_bound(ekf.CONFIDENCE, 2), WEAK, ITERATIONS, COARSE))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 import math
+from typing import NamedTuple
 
 from mv_slapse.changed import replace
 from mv_slapse.config import ObstacleSettings
@@ -31,6 +32,16 @@ NO_PLANE = -1  # id of the plane of a track whose plane is another one's now
 CLEARANCE = 0.12  # of ln Z: vehicles seen from behind end 0.2 m above the road, of 1.65 m
 BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
 
+
+class Match(NamedTuple):
+    """How well a detection fits the track that it corrects; a new one's fits by itself."""
+
+    nis: float = 0.0  # squared distance
+    dof: int = 0  # of which that is chi-square
+    overlap: float = 1.0  # of the boxes
+
+
+NEW = Match()
 
 @dataclass
 class Track:
@@ -107,8 +118,7 @@ class Track:
             self.scale_prior, self.edge = detection.scale_prior, detection.edge
         if detection.has_rate:
             self._follow(extraction.stamp, view, settings)
-            self.witness(extraction, view, distance, dof, shared, detection.score,
-                         detection.departed)
+            self.witness(extraction, view, detection, Match(distance, dof, shared))
 
     def scale(self, unit: float):
         """Go on in a unit of length that makes ``unit`` of the one so far."""
@@ -201,8 +211,8 @@ class Track:
         R[2, 2] = (BOUNDARY_SIGMA**2 + moved**2 / 12) / edge.drop**2
         return replace(detection, z=z, R=R)
 
-    def witness(self, extraction: Extraction, view: View, nis: float, dof: int,
-                overlap: float = 1.0, score: float = 0.0, departed: float = 0.0):
+    def witness(self, extraction: Extraction, view: View, detection: Detection,
+                match: Match = NEW):
         """Keep what the newest detection says, for plane management."""
         self.last_seen = extraction.stamp
         # A bumper ends above the road, so that what stands looks as if it came towards the camera.
@@ -210,8 +220,9 @@ class Track:
         statistic = om.moving_statistic(self.mu, self.P, view.scene_velocity,
                                         view.compared_covariance, nearer)
         speed = norm(self.motion(view).velocity)
-        self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic, nis,
-                                      dof, speed, overlap, score, departed))
+        self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic,
+                                      match.nis, match.dof, speed, match.overlap, detection.score,
+                                      detection.departed))
         self.evidence = within(self.evidence, KEPT_EVIDENCE)
 
     def height(self, view: View) -> float:
@@ -286,7 +297,7 @@ def start(detection: Detection, extraction: Extraction, view: View, track_id: in
     track = Track(track_id, detection.id, detection.z.copy(), detection.R.copy(), detection.x,
                   detection.block, body_box(detection.x, detection.block), detection.edge,
                   detection.scale_prior, extraction.stamp, extraction.stamp)
-    track.witness(extraction, view, 0.0, 0, score=detection.score, departed=detection.departed)
+    track.witness(extraction, view, detection)
     return track
 
 

@@ -282,7 +282,7 @@ class SceneFilter:
         gauge = self._gauge(baseline, first, way, bool(known or ratio))
         observations = [*self._rigid(ground), *gauge, *ratio]
         self._state = scene_update.update(
-            self._state, start, pair, index, ids, settings, observations)
+            self._state, start, pair, (index, ids), settings, observations)
         if self._progress.gives_depths_up(follows, bool(ratio)):
             self._progress.carried = scene_ratio.begin(self._state, depths, settings.ratio_sigma)
         if first or self._progress.rested:

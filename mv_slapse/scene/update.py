@@ -17,16 +17,17 @@ from mv_slapse.scene.state import SceneState
 import numpy as np
 
 
-def update(state: SceneState, start: np.ndarray, pair: two_view.Pair | None, index: np.ndarray,
-           ids: list[int], settings: SceneSettings,
+def update(state: SceneState, start: np.ndarray, pair: two_view.Pair | None,
+           planes: tuple[np.ndarray, list[int]], settings: SceneSettings,
            observations: Sequence[Observation] = ()) -> SceneState:
     """Update with the correspondences of one key frame pair, (19) of [SLAPSE].
 
-    The predicted state has every plane of ``ids``; ``start`` (n,) is the error at which to
-    linearise first, see SceneState.error_to. ``index`` (N,) is the position in ``ids`` of the
-    plane of each stationary correspondence of the pair, if there is one, -1 for none;
-    ``observations`` are what else is known.
+    ``start`` (n,) is the error at which to linearise first, see SceneState.error_to. ``planes``
+    are an index (N,) and ids, all in the predicted state: the position in the ids of the plane of
+    each stationary correspondence of the pair, if there is one, -1 for none. ``observations`` are
+    what else is known.
     """
+    index, ids = planes
     given = None if pair is None else (pair.rays_cur, pair.rays_prev, pair.sigma, index,
                                        pair.focal)
     options = np.array([settings.relief, settings.dependence, settings.depth_dependence,
@@ -43,6 +44,6 @@ def update(state: SceneState, start: np.ndarray, pair: two_view.Pair | None, ind
 def observe(state: SceneState, observations: Sequence[Observation],
             settings: SceneSettings) -> SceneState:
     """Update with direct observations alone, where there are no correspondences."""
-    return update(state, np.zeros(state.size), None, np.zeros(0, np.int64), [], settings,
+    return update(state, np.zeros(state.size), None, (np.zeros(0, np.int64), []), settings,
                   observations)
 

@@ -60,14 +60,15 @@ class PlaneFit:
 
 
 def stationary_planes(depths: Depths, free: np.ndarray, known: KnownPlanes,
-                      up: np.ndarray, settings: ExtractionSettings, room: int, next_id: int):
+                      up: np.ndarray, settings: ExtractionSettings, numbers: tuple[int, int]):
     """Find known planes again, then new ones: fits with ids, and what to predict to the next pair.
 
     ``depths`` are those of all blocks (N,), with the errors of their vectors only; those of them
     that are ``free`` (N,) bool may join a plane. ``known`` is predicted to this pair; ``up`` (3,)
-    is the unit normal of the ground in camera k. At most ``room`` planes are looked for;
-    ``next_id`` is that of the first that is confirmed.
+    is the unit normal of the ground in camera k. ``numbers`` are how many planes are looked for
+    at most, and the id of the first that is confirmed.
     """
+    room, next_id = numbers
     nearby = known[~known.is_away] if len(known) else known
     source, seen, plane, covariance, own, own_covariance, member = compiled.find_planes(
         *depths.columns, free, nearby.plane, nearby.covariance, nearby.seen, up, room,

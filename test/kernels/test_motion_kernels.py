@@ -93,7 +93,7 @@ def test_normal_equations(scene, start, more):
 @pytest.mark.parametrize('known', [[], [(1, CANYON[1] * 1.01, 1e5 * np.eye(3))]])
 def test_joint_refinement(scene, start, known):
     index = np.where(scene.outlier, joint.LEFT_OUT, scene.surface)
-    found = joint.reestimate(scene.pair, start, 1.01 * CANYON, index, 0.03, expected=known)
+    found = joint.reestimate(scene.pair, (*start, 1.01 * CANYON), index, 0.03, expected=known)
     kept = ~scene.outlier
     expected = two_view_reference.reestimate(scene.pair[kept], *start, 1.01 * CANYON, index[kept],
                                              0.03, expected=known)
@@ -102,7 +102,7 @@ def test_joint_refinement(scene, start, known):
 
 
 def test_results_are_the_same_from_call_to_call(scene, start):
-    first, second = (joint.reestimate(scene.pair, start, CANYON, scene.surface, 0.03)
+    first, second = (joint.reestimate(scene.pair, (*start, CANYON), scene.surface, 0.03)
                      for _ in range(2))
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one, other)

@@ -60,7 +60,7 @@ def test_the_update_is_that_of_the_whole_state(rng, scene, state):
     e, P, errors = reference.update(state, start, scene.pair, scene.surface, IDS, settings,
                                     observations)
     expected = state.moved(e)
-    found = scene_update.update(state, start, scene.pair, scene.surface, IDS, settings,
+    found = scene_update.update(state, start, scene.pair, (scene.surface, IDS), settings,
                                 observations)
     np.testing.assert_allclose(found.arrays[0], expected.arrays[0], atol=1e-9)
     np.testing.assert_allclose(found.arrays[1], expected.arrays[1], atol=1e-9)

@@ -72,7 +72,7 @@ def test_a_car_ahead_moves_however_unsure_the_scale_is(rng):
     found = []
     for view in (unsure, replace(unsure, speed_error=0.1)):
         track = moment.track()
-        track.witness(moment.extraction, view, 0.0, 0)
+        track.witness(moment.extraction, view, moment.detection)
         found.append(track.evidence[-1].statistic)
     assert found[0] < 11.3 < found[1]
 

@@ -54,14 +54,14 @@ def state(rng, scene):
 
 
 def updated(scene, state, settings=SIMPLE, observations=()):
-    return scene_update.update(state, np.zeros(state.size), scene.pair, scene.surface, IDS,
+    return scene_update.update(state, np.zeros(state.size), scene.pair, (scene.surface, IDS),
                                settings, observations)
 
 
 def without_pair(scene, state, *observations):
     """Update by direct observations alone."""
-    return scene_update.update(state, np.zeros(state.size), scene.pair[:0], scene.surface[:0], [],
-                               SIMPLE, observations)
+    return scene_update.update(state, np.zeros(state.size), scene.pair[:0],
+                               (scene.surface[:0], []), SIMPLE, observations)
 
 
 def test_a_linear_observation_is_that_of_the_filter(rng, scene, state):
@@ -72,7 +72,7 @@ def test_a_linear_observation_is_that_of_the_filter(rng, scene, state):
     ekf_reference.update(twin, innovation, H, np.eye(1) * 0.3**2)
     once = SceneSettings(iterations=1)
     found = scene_update.update(
-        state, np.zeros(state.size), scene.pair[:0], scene.surface[:0], [], once,
+        state, np.zeros(state.size), scene.pair[:0], (scene.surface[:0], []), once,
         [observation])
     np.testing.assert_allclose(found.P, twin.P, atol=1e-12)
     np.testing.assert_allclose(state.error_to(found)[:12], twin.mu[:12], atol=1e-9)
@@ -93,7 +93,7 @@ def test_the_gauge_leaves_angles_and_proportions_as_the_pair_shows_them(rng, sce
     state.current = Pose(state.current.R, np.zeros(3))
     state.error.P[state.at('current'), state.at('current')][3:, 3:] = 100 * np.eye(3)
     found = scene_update.update(
-        state, state.error_to(shown), scene.pair, scene.surface, IDS, SIMPLE,
+        state, state.error_to(shown), scene.pair, (scene.surface, IDS), SIMPLE,
         [scene_observations.baseline(1.0, 1e-6)])
     R, t = scene_state.relative_motion(found)
     assert np.linalg.norm(t) == pytest.approx(1, abs=1e-4)
@@ -185,7 +185,7 @@ def test_without_planes_direction_and_turn_are_corrected_and_the_length_is_not(r
         state.remove_plane(id_)
     length = np.linalg.norm(state.current.t)
     found = scene_update.update(state, np.zeros(state.size), scene.pair,
-                                np.full(len(scene.pair), -1), [], SIMPLE)
+                                (np.full(len(scene.pair), -1), []), SIMPLE)
     R, t = scene_state.relative_motion(found)
     assert np.degrees(turn_between(R, scene.R)) < 0.03
     assert np.degrees(angle_between(t, scene.t)) < 0.5
@@ -216,7 +216,7 @@ def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
                        rays_cur=(scene.pair.rays_cur - offset) * wide)
         state = state_before(scene, np.random.default_rng(1))
         found = scene_update.update(
-            state, np.zeros(state.size), pair, scene.surface, IDS, settings,
+            state, np.zeros(state.size), pair, (scene.surface, IDS), settings,
             [scene_observations.camera_height(ROAD, height, 0.03, 0.02),
              scene_observations.baseline(length * np.exp(faster), 0.02, 0.01)])
         return state.error_to(found)[6:12], found

@@ -15,7 +15,7 @@ RULES = ExtractionSettings(radius=96.0, max_uncertainty=0.12)
 
 def find(depths, known=NONE, free=None, rules=RULES, room=8, next_id=0):
     free = np.ones(len(depths), bool) if free is None else free
-    return plane_search.stationary_planes(depths, free, known, UP, rules, room, next_id)
+    return plane_search.stationary_planes(depths, free, known, UP, rules, (room, next_id))
 
 
 def often(rng, times=2, next_id=0):

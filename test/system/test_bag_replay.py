@@ -196,7 +196,10 @@ def test_all_in_one_gives_the_same_trajectory(drive, recorded_in_one):
 def test_the_recorded_odometry_is_near_the_truth(drive, recorded):
     ours = trajectory(recorded, drive.frames)
     found = evaluation.figures(evaluation.evaluate(ours, drive.truth))
-    expected = evaluation.figures(evaluation.evaluate(drive.expected, drive.truth))
+    same = slice(1, 1 + len(ours))  # without the origin, which is no message
+    expected = evaluation.figures(evaluation.evaluate(Trajectory(
+        drive.expected.stamps[same], drive.expected.positions[same],
+        drive.expected.quaternions[same]), drive.truth))
     assert found['ate_mean_percent'] < 3.0
     assert found['ate_mean_percent'] == pytest.approx(expected['ate_mean_percent'], rel=0.2)
 

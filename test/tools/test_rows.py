@@ -23,7 +23,7 @@ rows.replay = refused
 @pytest.fixture(scope='module')
 def scenes():
     """Return a short street."""
-    return cases.streets(1, 10)[:1]
+    return cases.streets(1, 20)[:1]
 
 
 @pytest.fixture(scope='module')
