@@ -378,7 +378,7 @@ RULES = (
     Rule('still surroundings', 'a block on no plane counts where most around it is still and no '
          'mover beside it', {SCENE + 'input:stationary': gives(_all_still)}),
     Rule('patience', 'a plane must contradict the map for a while',
-         {SCENE + 'filter:PATIENCE': value(0)}),
+         {SCENE + 'gating:PATIENCE': value(0)}),
     Rule('walls out of view', 'well seen walls stay in the filter',
          {SCENE + 'plane_map:SceneMap.is_lasting': NO}),
     Rule('iterations beyond 2', 'an update is relinearised four times', {},

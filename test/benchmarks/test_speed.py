@@ -20,7 +20,7 @@ def test_a_street_is_measured_in_each_encoding(made):
     assert [one['encoding'] for one in measured] == list(speed.ENCODINGS)
     for one in measured:
         turn, = one['turns']
-        assert one['frames'] == 14
+        assert one['frames'] == 26
         assert one['pairs'] > 0
         assert one['blocks'] > 20
         assert turn['steps'] == pytest.approx(
