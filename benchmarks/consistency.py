@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass, replace
 import json
 
 from mv_slapse.config import ExtractionSettings, SceneSettings
-from mv_slapse.evaluation.consistency import WITH_POSE
 from mv_slapse.extraction.extractor import PlaneExtractor
 from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import Camera
+from mv_slapse.records import WITH_POSE
 from mv_slapse.scene.filter import SceneFilter
 from mv_slapse.simulation.noise import NoisyVectors, VectorNoise
 from mv_slapse.simulation.street import Street, StreetSettings

@@ -45,10 +45,10 @@ from mv_slapse.errors import MvSlapseError  # noqa: E402
 from mv_slapse.evaluation import trajectory  # noqa: E402
 from mv_slapse.geometry.camera import Camera  # noqa: E402
 from mv_slapse.pipeline import Slapse, Step  # noqa: E402
+from mv_slapse.records import WITH_POSE  # noqa: E402
 from mv_slapse.simulation.render import Renderer  # noqa: E402
 from mv_slapse.simulation.street import Street, StreetSettings  # noqa: E402
 from mv_slapse.storage.camera_info import read_camera, write_camera  # noqa: E402
-from mv_slapse.storage.message_log import WITH_POSE  # noqa: E402
 from mv_slapse.storage.results import ResultsWriter  # noqa: E402
 from mv_slapse.storage.tum import read_trajectory, Trajectory, write_poses  # noqa: E402
 from mv_slapse.tools.evaluate import commit_of  # noqa: E402

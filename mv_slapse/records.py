@@ -71,6 +71,9 @@ class TrackingStatus(IntEnum):
     LOST = 3
 
 
+WITH_POSE = TrackingStatus.OK, TrackingStatus.PREDICTED  # a pose is published then
+
+
 class ObstacleState(IntEnum):
     """Life of a track."""
 

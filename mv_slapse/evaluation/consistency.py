@@ -13,12 +13,11 @@ from typing import Any
 
 from mv_slapse.evaluation.trajectory import align, associate
 from mv_slapse.geometry import rotation
-from mv_slapse.records import SceneEstimate, TrackingStatus
+from mv_slapse.records import SceneEstimate, WITH_POSE
 from mv_slapse.storage.tum import Trajectory
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-WITH_POSE = (TrackingStatus.OK, TrackingStatus.PREDICTED)
 BOUND = 14.16  # chi-square of 3 degrees of freedom: as probable as 3 sigma of one, 99.73 %
 WIDTHS = (100.0, 30.0, 10.0, 3.0, 3.0, 3.0)  # sigma, of the kernel: narrower from step to step
 REST_SIGMA = 1e-3  # m and rad: a camera at rest has no error of its own

@@ -61,6 +61,9 @@ class Pose:
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
 
 
+ORIGIN = Pose(np.eye(3), np.zeros(3))
+
+
 @dataclass(frozen=True)
 class Twist:
     """Velocities; linear and angular [unit/s, rad/s], covariance (6, 6) in this order."""

@@ -7,15 +7,13 @@ from pathlib import Path
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.frame_change import in_frames
 from mv_slapse.geometry.ros_frames import Pose, RosFrames
-from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.nodes.settings import SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import SceneEstimate
 from mv_slapse.storage.archives import MapArchive, write_json
-from mv_slapse.storage.tum import format_row
+from mv_slapse.storage.tum import TrajectoryRows
 from mv_slapse.storage.waiting_rows import WaitingRows
 from mv_slapse.storage.whole_files import whole
-import numpy as np
 from std_srvs.srv import Trigger
 
 
@@ -25,8 +23,7 @@ class Archive:
     def __init__(self, node: Shell):
         """Offer the services; where the files go is a read-only parameter, no request says it."""
         self._folder = _folder(node.settings[SceneOutputSettings].output_directory)
-        self._rows, self._map, self._has_planes = WaitingRows(), MapArchive(), False
-        self._began: int | None = None
+        self._trajectory, self._rows, self._map = TrajectoryRows(), WaitingRows(), MapArchive()
         node.create_service(Trigger, '~/save_map', self._on_save_map)
         node.create_service(Trigger, '~/save_trajectory', self._on_save_trajectory)
 
@@ -34,8 +31,7 @@ class Archive:
         """Forget everything."""
         self._rows.close()
         self._map.close()
-        self._rows, self._map, self._has_planes = WaitingRows(), MapArchive(), False
-        self._began = None
+        self._trajectory, self._rows, self._map = TrajectoryRows(), WaitingRows(), MapArchive()
 
     def add(self, scene: SceneEstimate, previous_stamp: int, frames: RosFrames, origin: Pose):
         """Take the estimate of a key frame; the first in motion also gives where it began.
@@ -46,18 +42,11 @@ class Archive:
         scene = in_frames(scene, frames, replace(
             frames, R_odom_from_start=origin.R, t_odom_from_start=origin.t))
         self._map.add(scene)
-        self._has_planes |= bool(scene.planes)
-        has_pose = scene.status in WITH_POSE
-        if self._began is None and (has_pose or scene.baseline):  # no more at rest
-            self._began = previous_stamp
-        if not has_pose:
-            return
-        if not self._rows.n:
-            self._rows.add(format_row(self._began, np.eye(3), np.zeros(3)))
-        self._rows.add(format_row(scene.stamp, scene.R_world_from_cam, scene.t_world_from_cam))
+        for row in self._trajectory.of(scene, previous_stamp):
+            self._rows.add(row)
 
     def _on_save_map(self, _request, response):
-        if not self._has_planes:
+        if not self._map.has_planes:
             return _nothing(response, 'there is no plane in the map yet')
         return self._save(response, 'map.json',
                           lambda path: write_json(path, self._map.content()))

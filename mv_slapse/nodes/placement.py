@@ -5,19 +5,24 @@ from dataclasses import replace
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from mv_slapse import fields
-from mv_slapse.geometry.ros_frames import Pose, pose_to_odom, pose_to_world, RosFrames, skew
+from mv_slapse.geometry.ros_frames import (
+    ORIGIN,
+    Pose,
+    pose_to_odom,
+    pose_to_world,
+    RosFrames,
+    skew,
+)
 from mv_slapse.known_map import about
 from mv_slapse.level import levelled
 from mv_slapse.message_checks import InvalidMessage
 from mv_slapse.nodes.qos import subscribe
-from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.nodes.settings import FrameSettings
 from mv_slapse.nodes.shell import Shell
-from mv_slapse.records import MapPlane, SceneEstimate
+from mv_slapse.records import MapPlane, SceneEstimate, WITH_POSE
 import numpy as np
 
 TOPIC = 'initialpose'
-ORIGIN = Pose(np.eye(3), np.zeros(3))
 
 
 class Placement:

@@ -7,11 +7,10 @@ from typing import Any
 from mv_slapse.fields import scene_from_messages, stamp_from_message, tracking_from_message
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.obstacles import units
-from mv_slapse.records import Extraction, SceneEstimate, TrackingStatus
+from mv_slapse.records import Extraction, SceneEstimate, WITH_POSE
 import numpy as np
 
 #: states in which a pose is published
-WITH_POSE = (TrackingStatus.OK, TrackingStatus.PREDICTED)
 BOUND = 100  # messages kept on each topic
 
 Complete = Callable[[Any, Any, Any], None]

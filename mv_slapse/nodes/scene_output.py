@@ -9,10 +9,9 @@ from mv_slapse.nodes.conversions import bounded_covariance, stamp_to_msg, to_mes
 from mv_slapse.nodes.extrinsics import tf_message_type
 from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.qos import is_heard, LATCHED, RELIABLE
-from mv_slapse.nodes.scene_join import WITH_POSE
 from mv_slapse.nodes.settings import FrameSettings, SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
-from mv_slapse.records import ScaleStatus, SceneEstimate, TrackingStatus
+from mv_slapse.records import ScaleStatus, SceneEstimate, TrackingStatus, WITH_POSE
 from mv_slapse.states import CONDITIONS
 from mv_slapse_msgs.msg import PlaneMap
 from nav_msgs.msg import Odometry, Path

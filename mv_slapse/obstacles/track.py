@@ -43,6 +43,7 @@ class Match(NamedTuple):
 
 NEW = Match()
 
+
 @dataclass
 class Track:
     """A moving obstacle."""

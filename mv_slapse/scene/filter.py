@@ -332,14 +332,14 @@ class SceneFilter:
 
         A pair's ratio to the one before tells its way [map unit]; the first one is the unit.
         """
-        progress, told = self._progress, scene_ratio.baseline(self._state, extraction)
-        length = told * progress.carried if progress.started else guess
-        if not length or scene_gate.ground_plane(extraction) is None:
+        progress, ground, length = self._progress, scene_gate.ground_seen(extraction), guess
+        if progress.started:
+            length = progress.carried and scene_ratio.baseline(self._state, extraction)
+        if not length or ground is None:
             return 1.0
         progress.told_metres()
-        self._grounds = self._grounds.seen(extraction, length, self._settings)
-        metres = self._grounds.metres()
-        if metres is None:
+        self._grounds = self._grounds.seen(ground, length, self._settings)
+        if (metres := self._grounds.metres()) is None:
             return 1.0
         if self._map.ground in self._state.planes:  # It may be one that they contradict.
             self._map.leave(self._state, self._map.ground)

@@ -35,9 +35,15 @@ def ground_of(extraction: Extraction, trusted: set[int]) -> int | None:
                  if plane.is_ground and plane.id in trusted), None)
 
 
+def ground_seen(extraction: Extraction) -> PlaneObservation | None:
+    """Return the ground, None where a pair does not show it."""
+    return next((plane for plane in extraction.planes if plane.is_ground), None)
+
+
 def ground_plane(extraction: Extraction) -> np.ndarray | None:
     """Return the ground (3,) in camera k [1/baseline], None where it is not seen."""
-    return next((plane.plane for plane in extraction.planes if plane.is_ground), None)
+    ground = ground_seen(extraction)
+    return None if ground is None else ground.plane
 
 
 def distances(state: SceneState, extraction: Extraction,

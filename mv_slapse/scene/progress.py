@@ -3,13 +3,12 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
-from mv_slapse.records import TrackingStatus
+from mv_slapse.records import TrackingStatus, WITH_POSE
 import numpy as np
 
 SHORTEST = 1e-4  # s between key frames, as the decoder has it; less shows a clock that stands
 ASTRAY = 5.0  # times lost_after: a car at rest may meanwhile be anywhere on the next crossing
 PATIENCE = 5  # key frames in which a plane, or depths, may contradict the map
-DEPTHS = -1  # in place of a plane's id
 FREE = 'first translation'  # what the unit of length is where nothing makes it metric
 
 
@@ -21,10 +20,10 @@ class Progress:
     that there is a scale; ``carried``: the last pair's depths have one; ``rested``: no baseline
     since a rest; ``anew``: nor since the scene began anew, ``resets``: how often it did;
     ``repairs``: how often its covariance was put right; ``blind`` [s]: predicted since the last
-    observation; ``misses``: how often in a row each plane has contradicted the map; ``interval``
-    [s]: between the last two key frames; ``age`` [s]: since the camera first moved, ``told`` [s]:
-    what that was when a ground told metres last; ``going`` [s]: since the camera started to move;
-    ``place``: position (3,) that was published last.
+    observation; ``misses``: how often in a row each plane has contradicted the map, ``refused``
+    the depths; ``interval`` [s]: between the last two key frames; ``age`` [s]: since the camera
+    first moved, ``told`` [s]: what that was when a ground told metres last; ``going`` [s]: since
+    the camera started to move; ``place``: position (3,) that was published last.
     """
 
     stamp: int
@@ -45,6 +44,7 @@ class Progress:
     repairs: int = 0
     blind: float = 0.0
     misses: Counter[int] = field(default_factory=Counter)
+    refused: int = 0
 
     @property
     def metric(self) -> bool:
@@ -78,8 +78,8 @@ class Progress:
 
         Returns whether they have no scale any more: one pair may be wrong, the map outlasts it.
         """
-        self.misses[DEPTHS] = self.misses[DEPTHS] + 1 if compared and not told else 0
-        return not told and not 0 < self.misses[DEPTHS] <= PATIENCE
+        self.refused = self.refused + 1 if compared and not told else 0
+        return not told and not 0 < self.refused <= PATIENCE
 
     def told_metres(self):
         """Note that a ground tells metres, which others have to confirm, if they are awaited."""
@@ -88,7 +88,7 @@ class Progress:
 
     def publish(self, status: TrackingStatus, place: np.ndarray):
         """Note where the camera is said to be."""
-        if status in (TrackingStatus.OK, TrackingStatus.PREDICTED):
+        if status in WITH_POSE:
             self.place = place.copy()
 
     @property

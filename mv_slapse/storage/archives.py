@@ -80,6 +80,11 @@ class MapArchive:
         self._scene: SceneEstimate | None = None
         self._left = WaitingRows()
 
+    @property
+    def has_planes(self) -> bool:
+        """Whether there ever was a plane."""
+        return bool(self._current or self._left.n)
+
     def close(self):
         """Give up what waits."""
         self._left.close()

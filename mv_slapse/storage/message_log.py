@@ -16,7 +16,7 @@ from mv_slapse.records import (
     Obstacle,
     PlaneHandover,
     SceneEstimate,
-    TrackingStatus,
+    WITH_POSE,
 )
 from mv_slapse.step_diagnostics import StepDiagnostics
 from mv_slapse.storage.bag_writer import McapFile
@@ -27,7 +27,6 @@ from mv_slapse.video_messages import (
     packet_to_fields,
 )
 
-WITH_POSE = (TrackingStatus.OK, TrackingStatus.PREDICTED)
 MARKERS = 'visualization_msgs/msg/MarkerArray'
 VIDEO = '/video'
 PATH_LENGTH = 1000  # poses of a path

@@ -9,12 +9,11 @@ from typing import Any, TextIO
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import MvSlapseError, UnusableOutput, UsageError
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.geometry.ros_frames import Pose, RosFrames
+from mv_slapse.geometry.ros_frames import ORIGIN, RosFrames
 from mv_slapse.storage import tables, tum
 from mv_slapse.storage.archives import LabelArchive, MapArchive, write_json
-from mv_slapse.storage.message_log import MessageLog, Step, WITH_POSE
+from mv_slapse.storage.message_log import MessageLog, Step
 from mv_slapse.storage.whole_files import PART, part_of, put_in_place, unusable
-import numpy as np
 
 ROWS = ('trajectory.tum', 'planes.csv', 'obstacles.csv')
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -56,10 +55,9 @@ class ResultsWriter:
         self._messages = MessageLog(self.out / 'results.mcap', frames or RosFrames(), camera)
         self._map = MapArchive()
         self._size = (camera.width, camera.height) if camera else (0, 0)
-        self._has_origin = self._is_closed = False
-        self._began: int | None = None
+        self._rows, self._is_closed = tum.TrajectoryRows(), False
         #: pose of the first key frame's camera
-        self.origin = Pose(np.eye(3), np.zeros(3))
+        self.origin = ORIGIN
 
     def __enter__(self) -> 'ResultsWriter':
         """Return itself."""
@@ -78,12 +76,10 @@ class ResultsWriter:
             Where it cannot be written; names what there is.
         """
         scene = step.scene
-        has_pose = scene.status in WITH_POSE
-        if self._began is None and (has_pose or scene.baseline):  # no more at rest
-            self._began = step.correspondences.previous_stamp
+        rows = self._rows.of(scene, step.correspondences.previous_stamp, self.origin)
         try:
-            if has_pose:
-                self._write_pose(step)
+            if rows:
+                _put(self._trajectory, rows)
                 _put(self._planes, tables.plane_rows(scene))
             _put(self._obstacles, (tables.obstacle_row(o) for o in step.obstacles))
             self._labels.add(step.extraction)
@@ -135,14 +131,6 @@ class ResultsWriter:
         file = part_of(self.out / name).open('w', buffering=1)
         _put(file, [head] if head else [])
         return file
-
-    def _write_pose(self, step: Step):
-        scene, rows = step.scene, []
-        if not self._has_origin:
-            self._has_origin = True
-            rows.append(tum.format_row(self._began, self.origin.R, self.origin.t))
-        rows.append(tum.format_row(scene.stamp, scene.R_world_from_cam, scene.t_world_from_cam))
-        _put(self._trajectory, rows)
 
 
 def _failure(step: Callable[[], None]) -> OSError | MvSlapseError | None:

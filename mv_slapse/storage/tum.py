@@ -7,6 +7,8 @@ from pathlib import Path
 
 from mv_slapse.errors import UnusableInput
 from mv_slapse.geometry import quaternion
+from mv_slapse.geometry.ros_frames import ORIGIN, Pose
+from mv_slapse.records import SceneEstimate, WITH_POSE
 from mv_slapse.storage import whole_files
 import numpy as np
 
@@ -64,6 +66,27 @@ def format_row(stamp: int, R: np.ndarray, t: np.ndarray) -> str:
     q = quaternion.from_matrix(R)
     q = -q if q[3] < 0 else q
     return ' '.join([format_stamp(stamp), *(f'{value:.9f}' for value in (*t, *q))])
+
+
+class TrajectoryRows:
+    """Rows of a trajectory that grows, and that begins where the camera began to move."""
+
+    def __init__(self):
+        """Have seen no key frame yet."""
+        self._began: int | None = None  # stamp of the key frame before the first motion [ns]
+        self._has_origin = False
+
+    def of(self, scene: SceneEstimate, previous_stamp: int, origin: Pose = ORIGIN) -> list[str]:
+        """Return the rows that a key frame adds, the first time that of the origin before it."""
+        has_pose, rows = scene.status in WITH_POSE, []
+        if self._began is None and (has_pose or scene.baseline):  # no more at rest
+            self._began = previous_stamp
+        if has_pose:
+            if not self._has_origin:
+                rows.append(format_row(self._began, origin.R, origin.t))
+            self._has_origin = True
+            rows.append(format_row(scene.stamp, scene.R_world_from_cam, scene.t_world_from_cam))
+        return rows
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory):

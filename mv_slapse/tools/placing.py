@@ -4,12 +4,11 @@ from pathlib import Path
 from typing import Any
 
 from mv_slapse.frame_change import step_in
-from mv_slapse.geometry.ros_frames import Pose
+from mv_slapse.geometry.ros_frames import ORIGIN
 from mv_slapse.known_map import about, PERIOD, place
 from mv_slapse.pipeline import Step
 from mv_slapse.records import TrackingStatus
 from mv_slapse.storage.archives import read_map
-import numpy as np
 
 WAIT = 15_000_000_000  # [ns] of the video until the run goes on in a frame of its own
 
@@ -31,7 +30,7 @@ class Placing:
         self._is_decided = self._known is None
         self._told: dict[str, Any] = {} if path is None else {
             'file': str(path), 'found': False, 'reason': 'the run was too short'}
-        self.origin = Pose(np.eye(3), np.zeros(3))
+        self.origin = ORIGIN
 
     def add(self, step: Step) -> list[Step]:
         """Return the steps that can be written now, in the frame of the results."""

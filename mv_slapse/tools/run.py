@@ -18,8 +18,14 @@ from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.pipeline import Slapse, Step
-from mv_slapse.records import Correspondences, ObstacleState, ScaleStatus, SegmentKind, Speed
-from mv_slapse.storage.message_log import WITH_POSE
+from mv_slapse.records import (
+    Correspondences,
+    ObstacleState,
+    ScaleStatus,
+    SegmentKind,
+    Speed,
+    WITH_POSE,
+)
 from mv_slapse.storage.results import ResultsWriter
 from mv_slapse.tools.history import History
 from mv_slapse.tools.inputs import open_input, VideoInput

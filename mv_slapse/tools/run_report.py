@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from mv_slapse.config import Settings
 from mv_slapse.evaluation.detection import confirmed
-from mv_slapse.records import TrackingStatus
+from mv_slapse.records import TrackingStatus, WITH_POSE
 from mv_slapse.storage.tables import OBSTACLES_HEADER, read_table
 from mv_slapse.storage.whole_files import write_text
 from mv_slapse.tools import page
@@ -71,7 +71,7 @@ def _way(rows: dict[str, np.ndarray], map_: Mapping[str, Any],
     """Draw the way from above (x, z) and from the side (y, z) in the first camera's frame."""
     figure = Figure(figsize=(11, 7), layout='constrained')
     grid = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    known = np.isin(rows['status'], (TrackingStatus.OK, TrackingStatus.PREDICTED))
+    known = np.isin(rows['status'], WITH_POSE)
     size = max(np.ptp(rows[name][known]) for name in 'xyz')
     for axes, across, title in ((grid[0], 'x', 'from above'), (grid[1], 'y', 'from the side')):
         _draw_ways(axes, {name: column[known] for name, column in rows.items()}, across)

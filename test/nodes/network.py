@@ -14,42 +14,40 @@ def free_port() -> int:
 
 
 @contextmanager
-def camera(port: int, content: bytes, times: int = 1, held: float = 0.0):
-    """Send a stream to so many that connect, one after another; hang up after some time [s]."""
+def _server(port: int, talk, times: int, held: float):
+    """Talk to so many that connect, one after another; hang up after some time [s]."""
     with socket.create_server(('127.0.0.1', port)) as server:
         def serve():
             for _ in range(times):
                 connection, _ = server.accept()
                 with connection:
-                    connection.sendall(content)
+                    talk(connection)
                     time.sleep(held)
 
         thread = Thread(target=serve, daemon=True)
         thread.start()
         yield thread
+
+
+def camera(port: int, content: bytes, times: int = 1, held: float = 0.0):
+    """Send a stream to so many that connect, one after another; hang up after some time [s]."""
+    return _server(port, lambda connection: connection.sendall(content), times, held)
 
 
 SDP = ('v=0\r\no=- 0 0 IN IP4 127.0.0.1\r\ns=camera\r\nc=IN IP4 127.0.0.1\r\nt=0 0\r\n'
        'm=video 0 RTP/AVP 33\r\na=control:track0\r\n')  # 33: MPEG-TS, RFC 3551
 
 
-@contextmanager
 def rtsp_camera(port: int, content: bytes, times: int = 1, held: float = 0.0):
     """Send an MPEG-TS by RTSP (RFC 2326) over TCP to so many, one after another, and hang up."""
-    with socket.create_server(('127.0.0.1', port)) as server:
-        def serve():
-            for _ in range(times):
-                connection, _ = server.accept()
-                with connection, connection.makefile('rwb') as stream:
-                    _answer(stream)
-                    for packet in _interleaved(content):
-                        stream.write(packet)
-                        stream.flush()
-                    time.sleep(held)
+    def talk(connection):
+        with connection.makefile('rwb') as stream:
+            _answer(stream)
+            for packet in _interleaved(content):
+                stream.write(packet)
+                stream.flush()
 
-        thread = Thread(target=serve, daemon=True)
-        thread.start()
-        yield thread
+    return _server(port, talk, times, held)
 
 
 def _answer(stream):

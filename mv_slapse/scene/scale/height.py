@@ -8,7 +8,7 @@ would be wrong, and sure.
 from dataclasses import dataclass
 
 from mv_slapse.config import SceneSettings
-from mv_slapse.records import Extraction
+from mv_slapse.records import PlaneObservation
 import numpy as np
 
 SOURCE = 'camera height'  # as a source of the scale
@@ -26,9 +26,8 @@ class Grounds:
     logs: tuple[float, ...] = ()
     variances: tuple[float, ...] = ()
 
-    def seen(self, extraction: Extraction, length: float, settings: SceneSettings) -> 'Grounds':
+    def seen(self, ground: PlaneObservation, length: float, settings: SceneSettings) -> 'Grounds':
         """Return it after one more pair that shows the ground; its way is so long [map unit]."""
-        ground = next(plane for plane in extraction.planes if plane.is_ground)
         plane, square = ground.plane, ground.plane @ ground.plane
         told = settings.depth_dependence * (plane @ ground.covariance @ plane) / square**2
         variance = told + settings.depth_bias**2 + settings.camera_height_sigma**2

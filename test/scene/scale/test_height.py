@@ -12,11 +12,10 @@ from scene_drive import Canyon, driven, GROUND, HEIGHT, METRIC, position_errors,
 
 
 def ground(depth, sigma=0.01):
-    """Return a pair that shows a level ground at a depth [baseline], sure to a share of it."""
+    """Return a level ground at a depth [baseline], sure to a share of it."""
     plane = np.array([0, -1.0, 0]) / depth
-    seen = PlaneObservation(GROUND, Label.STATIONARY, plane, np.eye(3) * (sigma / depth)**2,
+    return PlaneObservation(GROUND, Label.STATIONARY, plane, np.eye(3) * (sigma / depth)**2,
                             is_ground=True)
-    return replace(Canyon().blank(1), planes=(seen,))
 
 
 def told(depths, lengths, sigma=0.01):
