@@ -146,7 +146,8 @@ class ExtractionSettings(Checked):
         'region is called moving: no pair tells more than 10, so that two agree', 1.0)
     max_blocks: int = setting(
         2000, '-', 'most macroblocks of a key frame that are looked at: a larger picture is taken '
-        'as one of fewer pixels, so that a pair of 1080p costs about as much as one of KITTI',
+        'as one of fewer pixels, in steps of a half, so that a pair of 1080p costs about as much '
+        'as one of KITTI',
         300, 100000)
     max_planes: int = setting(8, '-', 'most stationary planes of a key frame', 1, 64)
     max_uncertainty: float = setting(

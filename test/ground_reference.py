@@ -44,7 +44,8 @@ def seen(probability, blocks, tilt, least, ceiling):
     gain[sigma > is_['blurred'] * expected] = 0
     x = depths.x[right]
     around = np.sum(np.all(np.abs(x[:, None] - x) < is_['apart'], axis=2), axis=1)
-    log = 1 / (is_['sites'] * around) @ gain + np.log(probability)
+    every = 1 + len(x) // is_['asked']
+    log = every / (is_['sites'] * around[::every]) @ gain[::every] + np.log(probability)
     log = np.where(np.log(ceiling) > GRID, log, -np.inf)
     after = np.exp(log - log.max())
     return after / after.sum()

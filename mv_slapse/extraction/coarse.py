@@ -20,9 +20,13 @@ import numpy as np
 
 
 def factor_of(width: int, height: int, max_blocks: int) -> float:
-    """Return by which factor a picture [px] is too large for so many macroblocks; 1: by none."""
+    """Return by which factor a picture [px] is too large for so many macroblocks; 1: by none.
+
+    It is one of the steps 1, 1.5, 2 and so on, so that a macroblock of the smaller picture holds
+    as many blocks as the next one.
+    """
     columns, rows = grid_shape(width, height)
-    return max(1.0, float(np.sqrt(columns * rows / max_blocks)))
+    return max(1.0, float(np.ceil(2 * np.sqrt(columns * rows / max_blocks)) / 2))
 
 
 def camera_of(camera: Camera, factor: float) -> Camera:

@@ -34,6 +34,7 @@ POLICY = {
     # An encoder goes on with the last vector over smooth ground: what lies nearer to each other
     # than three macroblocks [px] errs together, and so many places tell as much as one.
     'apart': 48.0, 'sites': 2.0,
+    'asked': 100,  # of more blocks than that every second, third and so on is asked
 }
 
 

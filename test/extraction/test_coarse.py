@@ -32,6 +32,12 @@ def test_a_picture_of_few_macroblocks_is_taken_as_it_is():
     assert coarse.factor_of(1920, 1088, 2040) == 2
 
 
+def test_a_macroblock_of_the_smaller_picture_holds_as_many_blocks_as_the_next_one():
+    assert coarse.factor_of(1280, 720, 2000) == 1.5
+    assert coarse.factor_of(1920, 1080, 2000) == 2.5
+    assert coarse.factor_of(3840, 2160, 2000) == 4.5
+
+
 def test_the_camera_sees_the_same_rays_in_fewer_pixels(rng):
     small = coarse.camera_of(CAMERA, 1.7)
     X = np.c_[rng.normal(0, 0.4, (20, 2)), np.ones(20)]

@@ -55,11 +55,11 @@ def road_blocks(rng, n=80):
                       rng.uniform(2, 40, n), rng.random(n) < 0.9)
 
 
-@pytest.mark.parametrize('ceiling', [50.0, 2.0])
-def test_the_height_is_that_of_numpy(rng, ceiling):
+@pytest.mark.parametrize('ceiling, n', [(50.0, 80), (2.0, 80), (50.0, 900)])
+def test_the_height_is_that_of_numpy(rng, ceiling, n):
     belief = HeightBelief.blank()
     for _ in range(3):
-        blocks = road_blocks(rng)
+        blocks = road_blocks(rng, n)
         expected = ground_reference.seen(belief.probability, blocks, 0.01, 5.0, ceiling)
         belief = belief.seen(blocks, 0.01, 5.0, ceiling)
         np.testing.assert_allclose(belief.probability, expected, rtol=1e-9, atol=1e-15)
