@@ -124,10 +124,7 @@ class Correspondences:
 
     @property
     def lone(self) -> np.ndarray:
-        """Return which (N,) bool no other vector supports: half as probable as the best or less.
-
-        Most are wrong. What makes no use of them leaves them out.
-        """
+        """Return which (N,) bool nothing supports: at most half as probable as the best one."""
         return self.probability < 0.5 * self.probability.max(initial=0)
 
     def supported(self) -> 'Correspondences':

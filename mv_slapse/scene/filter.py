@@ -27,7 +27,7 @@ from mv_slapse.scene import state as scene_state
 from mv_slapse.scene import update as scene_update
 from mv_slapse.scene.noise import Agreement, Dependence
 from mv_slapse.scene.observations import Observation
-from mv_slapse.scene.progress import Progress, SHORTEST
+from mv_slapse.scene.progress import PATIENCE, Progress, SHORTEST
 from mv_slapse.scene.scale import height as scene_height
 from mv_slapse.scene.scale import ratio as scene_ratio
 from mv_slapse.scene.scale import rest as scene_rest
@@ -228,8 +228,7 @@ class SceneFilter:
     def _coast(self, dt: float, start: int):
         """Move on from a stamp without a view, but no farther than a prediction says something.
 
-        A mounted camera stays upright, a speed counts. A step so long that the camera is lost may
-        be the clock's.
+        A mounted camera stays upright, a speed counts. A very long step may be the clock's.
         """
         left, place = self._progress.horizon - self._progress.blind, self._state.current.t
         self._progress.blind += dt
@@ -303,8 +302,7 @@ class SceneFilter:
 
     def _known(self, distances: dict[int, float]) -> set[int]:
         """Return the planes that are where they were predicted, by their squared distances."""
-        self.distances = {id: squared / self._agreement.scale
-                          for id, squared in distances.items()}
+        self.distances = {id: squared / self._agreement.scale for id, squared in distances.items()}
         self._agreement = self._agreement.seen(distances.values())
         return {id for id, squared in self.distances.items() if squared < self._settings.gate}
 
@@ -325,21 +323,24 @@ class SceneFilter:
             supposed = scene_rest.supposed_baseline(extraction, settings.camera_height)
             scene_gauge.doubt_scale(self._state, scene_rest.SUPPOSED_SIGMA if supposed else 0.0)
             guess = supposed or 1.0
-        return guess * self._metres(extraction, guess) if self._is_unscaled else guess
+        by_height = self._is_unscaled or progress.source == scene_height.SOURCE
+        return guess * self._metres(extraction, guess) if by_height else guess
 
     def _metres(self, extraction: Extraction, guess: float) -> float:
         """Return by what lengths grow where grounds agree at last on what a metre is, else 1.
 
         A pair's ratio to the one before tells its way [map unit]; the first one is the unit.
+        Metres grow where they are wrong in bulk, by a ground that has contradicted them for long.
         """
         progress, ground, length = self._progress, scene_gate.ground_seen(extraction), guess
-        if progress.started:
+        if progress.started and not progress.metric:
             length = progress.carried and scene_ratio.baseline(self._state, extraction)
         if not length or ground is None:
             return 1.0
         progress.told_metres()
         self._grounds = self._grounds.seen(ground, length, self._settings)
-        if (metres := self._grounds.metres()) is None:
+        metres = self._grounds.metres(scene_height.GROSS * progress.metric)
+        if metres is None or progress.metric and progress.misses[ground.id] < PATIENCE:
             return 1.0
         if self._map.ground in self._state.planes:  # It may be one that they contradict.
             self._map.leave(self._state, self._map.ground)
@@ -374,9 +375,8 @@ class SceneFilter:
         """Return the length of the first baseline, which is the unit, or the guess after a rest.
 
         Or of any by its speed. Where nothing has told one it stays about as predicted: directions
-        alone, which err, would draw it toward zero.
-
-        Predicted from rest a baseline is zero, about which its direction would mean nothing.
+        alone, which err, would draw it toward zero. Predicted from rest a baseline is zero, about
+        which its direction would mean nothing.
         """
         progress = self._progress
         if way:

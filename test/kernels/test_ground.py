@@ -55,7 +55,7 @@ def road_blocks(rng, n=80):
                       rng.uniform(2, 40, n), rng.random(n) < 0.9)
 
 
-@pytest.mark.parametrize('ceiling, n', [(50.0, 80), (2.0, 80), (50.0, 900)])
+@pytest.mark.parametrize(('ceiling', 'n'), [(50.0, 80), (2.0, 80), (50.0, 900)])
 def test_the_height_is_that_of_numpy(rng, ceiling, n):
     belief = HeightBelief.blank()
     for _ in range(3):

@@ -13,6 +13,7 @@ import numpy as np
 
 SOURCE = 'camera height'  # as a source of the scale
 ENOUGH = 3  # grounds in succession: two that agreed and were wrong have been met
+GROSS = 0.3  # of the log of lengths that are wrong: grounds that agree err by 0.2, as measured
 GATE = 5.99  # 95 % of chi-square with two degrees of freedom: departures of three from their mean
 
 
@@ -35,10 +36,14 @@ class Grounds:
         return Grounds((*self.logs, float(log))[-ENOUGH:],
                        (*self.variances, float(variance))[-ENOUGH:])
 
-    def metres(self) -> float | None:
-        """Return how many make a unit, None while grounds are too few or contradict each other."""
+    def metres(self, least: float = 0.0) -> float | None:
+        """Return how many make a unit, None while grounds are too few or contradict each other.
+
+        None, too, where the log of it is less than ``least``.
+        """
         if len(self.logs) < ENOUGH:
             return None
         logs, weights = np.array(self.logs), 1 / np.array(self.variances)
-        mean = weights @ logs / weights.sum()
-        return None if weights @ np.square(logs - mean) > GATE else float(np.exp(mean))
+        mean = float(weights @ logs / weights.sum())
+        agree = weights @ np.square(logs - mean) < GATE
+        return float(np.exp(mean)) if agree and abs(mean) >= least else None

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.records import Label, PlaneObservation, ScaleStatus, TrackingStatus
+from mv_slapse.scene import state as scene_state
 from mv_slapse.scene.filter import SceneFilter
-from mv_slapse.scene.scale.height import ENOUGH, Grounds
+from mv_slapse.scene.progress import PATIENCE
+from mv_slapse.scene.scale.height import ENOUGH, GROSS, Grounds
 import numpy as np
 import pytest
 from scene_drive import Canyon, driven, GROUND, HEIGHT, METRIC, position_errors, SPEED
@@ -85,3 +87,30 @@ def test_a_free_scale_waits_for_no_ground():
     assert first.status is TrackingStatus.OK
     assert np.linalg.norm(first.t_world_from_cam) * 0.1 * SPEED == pytest.approx(
         np.linalg.norm(canyon.pose(1)[1]), rel=1e-3)
+
+
+def test_of_metric_lengths_grounds_tell_only_what_is_wrong_in_bulk():
+    grounds = Grounds()
+    for _ in range(ENOUGH):
+        grounds = grounds.seen(ground(0.8 * HEIGHT), 1.0, METRIC)
+    assert grounds.metres() == pytest.approx(1 / 0.8)
+    assert grounds.metres(GROSS) is None
+    for _ in range(ENOUGH):
+        grounds = grounds.seen(ground(0.6 * HEIGHT), 1.0, METRIC)
+    assert grounds.metres(GROSS) == pytest.approx(1 / 0.6)
+
+
+@pytest.mark.parametrize('wrong', [0.5, 2.0])
+def test_lengths_that_are_wrong_and_sure_are_put_right_once_the_ground_contradicts_for_long(wrong):
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    driven(canyon, 20, filter_=filter_)
+    place = filter_._progress.place.copy()
+    scene_state.rescale_about(filter_._state, place, wrong, 1e-3)
+    filter_._map.scale(wrong, place)
+    estimates = driven(canyon, 32, filter_=filter_, first=21)
+    speeds = np.array([e.baseline / (0.1 * SPEED) for e in estimates])
+    np.testing.assert_allclose(speeds[:PATIENCE], wrong, rtol=0.2)
+    np.testing.assert_allclose(speeds[PATIENCE + 2:], 1, atol=0.15)
+    assert speeds[-1] == pytest.approx(1, abs=0.06)  # 0.56 and 1.66 without
+    steps = np.linalg.norm(np.diff([e.t_world_from_cam for e in estimates], axis=0), axis=1)
+    assert steps.max() < 2.1 * 0.1 * SPEED  # what was published stays where it is
