@@ -236,9 +236,10 @@ class SceneSettings(MountSettings):
         0.012, 'px', 'error that all vectors of a pair share, which no averaging removes, and as '
         'much again that all pairs share: 0.01 to 0.02 was measured', 1e-4, 10.0)
     mover_bias: float = setting(
-        0.3, 'px', 'the same for each share of the vectors that movers have: encoders predict '
-        'vectors from those around, and a mover that fills one side leaves the other alone to '
-        'tell the roll; buses over a fifth of the picture made some 0.1 px', 0.0, 16.0)
+        0.2, 'px', 'the same for each share of the vectors that movers have: encoders predict '
+        'vectors from those around, and what differs from side to side turns the picture: the '
+        'roll is as unsure as these leave it at the mean distance of blocks from the middle; '
+        'buses over a fifth of the picture made some 0.1 px', 0.0, 16.0)
     place_bias: float = setting(
         0.4, 'px', 'standard deviation of the place in its block that a vector tells of, which '
         'all share: what is left where encoders prefer the vectors of the blocks around', 0.0,

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from mv_slapse.geometry.vector import norm
 import numpy as np
 
 MAX_SPREAD = 0.2  # a depth's error, as a share of it, beyond which it tells nothing
@@ -22,6 +23,11 @@ class Pair:
     def focal(self) -> np.ndarray:
         """Return fx, fy [px]."""
         return np.array([self.K[0, 0], self.K[1, 1]])
+
+    @property
+    def roll_arm(self) -> float:
+        """Return how much more a roll than another turn makes of vectors that err on one side."""
+        return 1 / max(norm(self.rays_cur[:, :2].ravel()) / max(len(self), 1)**0.5, 1e-3)
 
     def __getitem__(self, mask) -> 'Pair':
         """Return the correspondences of a mask or an index."""

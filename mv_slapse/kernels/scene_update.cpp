@@ -125,7 +125,9 @@ Matrix observation_jacobian(const Scene& scene, const RelativeMotion& motion,
 // makes of second order; a focal length that is too short lets what lies across seem farther so.
 Matrix lasting_errors(const RelativeMotion& motion, const std::vector<PlaneInCamera>& in_camera,
                       const Settings& settings, double focal) {
-  const double turn = settings.joint.offset / focal, place = settings.place_bias / focal;
+  const double place = settings.place_bias / focal;
+  const auto& joint = settings.joint;
+  const Vec3 turn = (1 / focal) * Vec3{joint.offset, joint.offset, joint.roll};
   Matrix out((6 + 3 * in_camera.size()) * N_LASTING);
   const auto put = [&](int row, const Mat3& displaced, const Vec3& stretched) {
     for (int i = 0; i < 3; ++i) {
@@ -141,7 +143,7 @@ Matrix lasting_errors(const RelativeMotion& motion, const std::vector<PlaneInCam
   put(3, skew(motion.t), motion.t);
   for (std::size_t k = 0; k < in_camera.size(); ++k)
     put(6 + 3 * k, skew(in_camera[k].plane), -1.0 * in_camera[k].plane);
-  for (int i = 0; i < 3; ++i) out[i * N_LASTING + LASTING_TURN + i] = turn;
+  for (int i = 0; i < 3; ++i) out[i * N_LASTING + LASTING_TURN + i] = turn[i];
   return out;
 }
 
@@ -306,7 +308,7 @@ py::array_t<double> copied(const Matrix& values) {
   return out.array();
 }
 
-// options: relief, across, along, bias, offset, focal_sigma, place_bias, iterations.
+// options: relief, across, along, bias, offset, roll, focal_sigma, place_bias, iterations.
 py::tuple scene_update(const py::object& camera, const py::object& planes,
                        const py::object& anchors, const py::object& covariance,
                        const py::object& errors, const py::object& start, const py::object& pair,
@@ -318,10 +320,10 @@ py::tuple scene_update(const py::object& camera, const py::object& planes,
   const In<double> given(kernel, "covariance", covariance, {n, n}, Check::finite);
   const In<double> before(kernel, "lasting", errors, {n, N_LASTING}, Check::finite);
   const In<double> first(kernel, "start", start, {n}, Check::finite);
-  const In<double> o(kernel, "options", options, {8}, Check::finite);
+  const In<double> o(kernel, "options", options, {9}, Check::finite);
   const In<std::int64_t> ids(kernel, "seen", seen, {ANY});
-  const Settings settings{{{o[0], 0.0, o[1], o[2]}, o[3], o[4]}, o[5], o[6],
-                          static_cast<int>(o[7])};
+  const Settings settings{{{o[0], 0.0, o[1], o[2]}, o[3], o[4], o[5]}, o[6], o[7],
+                          static_cast<int>(o[8])};
   require(settings.iterations > 0, kernel, "options name no iteration");
   std::vector<int> at;
   for (py::ssize_t i = 0; i < ids.size(); ++i) {

@@ -234,13 +234,13 @@ void take_bias(Equations<9>& of, const Vec3& plane, double bias) {
   }
 }
 
-// Marginalises a common error of all vectors, which is a turn of the camera by some `sigma` [rad]:
-// what remains knows the rotation no better.
-void take_turn(double* A, double* b, int n, double sigma) {
-  if (sigma == 0) return;
+// Marginalises a common error of all vectors, which is a turn of the camera by some `sigma` [rad]
+// about each axis: what remains knows the rotation no better.
+void take_turn(double* A, double* b, int n, const Vec3& sigma) {
+  if (sigma[0] == 0) return;
   double own[9];
   for (int r = 0; r < 3; ++r)
-    for (int c = 0; c < 3; ++c) own[3 * r + c] = A[r * n + c] + (r == c) / (sigma * sigma);
+    for (int c = 0; c < 3; ++c) own[3 * r + c] = A[r * n + c] + (r == c) / (sigma[r] * sigma[r]);
   if (!cholesky(own, 3)) return;  // no: it is positive definite
   std::vector<double> columns(3 * n), gain(3 * n);
   for (int r = 0; r < n; ++r) {
@@ -279,7 +279,7 @@ double normal_equations(const std::vector<Blocks>& groups, const TwoView& view,
     }
     cost += of.cost;
   }
-  take_turn(A, b, n, joint.offset / (0.5 * (view.fx + view.fy)));
+  take_turn(A, b, n, (2 / (view.fx + view.fy)) * Vec3{joint.offset, joint.offset, joint.roll});
   return cost;
 }
 

@@ -50,7 +50,7 @@ struct PlaneNoise {
 struct Joint {
   PlaneNoise noise;
   double bias;    // of all depths of a surface, as a share
-  double offset;  // that all vectors share [px]
+  double offset, roll;  // that all vectors share, and what turns the picture [px]
 };
 
 // Of the epipolar error, (5) of [MVO], by (w, t), R -> exp(w) R. The cost is minus twice the log

@@ -67,7 +67,7 @@ struct PairArrays {
 // (relief, width, across, along, bias, offset)
 inline Joint joint_of(const char* kernel, const py::object& options) {
   const In<double> o(kernel, "options", options, {6}, Check::finite);
-  return {{o[0], o[1], o[2], o[3]}, o[4], o[5]};
+  return {{o[0], o[1], o[2], o[3]}, o[4], o[5], o[5]};
 }
 
 template <typename T, std::size_t N>

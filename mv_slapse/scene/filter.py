@@ -3,15 +3,14 @@
 from collections.abc import Sequence
 
 from mv_slapse.blas import one_thread
-from mv_slapse.changed import replace, unchecked
+from mv_slapse.changed import replace
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
-from mv_slapse.geometry import rotation, two_view
+from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import UP
 from mv_slapse.geometry.vector import norm
 from mv_slapse.records import (
     Extraction,
-    Label,
     MotionStatus,
     PlaneHandover,
     Speed,
@@ -260,7 +259,9 @@ class SceneFilter:
         self._ride = self._ride.kept(self._state, extraction.motion)
         self._progress.anew, baseline = False, self._baseline(extraction, way)
         pair, plane_id = scene_input.stationary(extraction)
-        settings = self._measured(pair, extraction)
+        self._dependence = self._dependence.seen(pair, extraction.motion.R_cur_from_prev,
+                                                 extraction.motion.t_cur_from_prev)
+        settings = self._dependence.settings(self._settings, extraction.label)
         shown = scene_input.shown(self._state.previous, extraction.motion, baseline)
         expected = replace(self._state, current=shown) if self._progress.rested else self._state
         known = self._known(scene_gate.distances(expected, extraction, settings))
@@ -360,15 +361,6 @@ class SceneFilter:
             self._ride = self._ride.scaled(factor)
         scene_gauge.doubt_scale(self._state, 0.0)
         self._progress.source = source
-
-    def _measured(self, pair: two_view.Pair, extraction: Extraction) -> SceneSettings:
-        """Return the settings with what the stream has shown of its noise."""
-        motion = extraction.motion
-        self._dependence = self._dependence.seen(pair, motion.R_cur_from_prev,
-                                                 motion.t_cur_from_prev)
-        leaning = self._settings.mover_bias * np.mean(extraction.label == Label.MOVING.value)
-        return unchecked(self._settings, dependence=self._dependence.value,
-                         vector_bias=float(np.hypot(self._settings.vector_bias, leaning)))
 
     def _gauge(self, baseline: float, first: bool, way: Way | None,
                told: bool) -> list[Observation]:

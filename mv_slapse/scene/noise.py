@@ -3,11 +3,12 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from mv_slapse.changed import unchecked
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.records import Extraction
+from mv_slapse.records import Extraction, Label
 from mv_slapse.scene import gating as scene_gate
 from mv_slapse.scene.state import log_baseline, SceneState
 import numpy as np
@@ -44,6 +45,15 @@ class Dependence:
         newest = np.log(min(max(measured(pair, R, t), BOUNDS[0]), BOUNDS[1]))
         mean = np.log(self.value) + weight * (newest - np.log(self.value))
         return Dependence(float(np.exp(mean)), self.pairs + 1)
+
+    def settings(self, before: SceneSettings, label: np.ndarray) -> SceneSettings:
+        """Return the settings with what the stream has shown of its noise, labels (N,) of a pair.
+
+        Of the vectors that have no label as many may be movers' as of the others.
+        """
+        told = label[label != Label.UNKNOWN.value]
+        share = np.count_nonzero(told == Label.MOVING.value) / max(len(told), 1)
+        return unchecked(before, dependence=self.value, mover_bias=before.mover_bias * share)
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,10 @@ def update(state: SceneState, start: np.ndarray, pair: two_view.Pair | None,
     index, ids = planes
     given = None if pair is None else (pair.rays_cur, pair.rays_prev, pair.sigma, index,
                                        pair.focal)
+    leaning = settings.mover_bias * np.array([1.0, 1.0 if pair is None else pair.roll_arm])
     options = np.array([settings.relief, settings.dependence, settings.depth_dependence,
-                        settings.depth_bias, settings.vector_bias, settings.focal_sigma,
-                        settings.place_bias, settings.iterations], float)
+                        settings.depth_bias, *np.hypot(settings.vector_bias, leaning),
+                        settings.focal_sigma, settings.place_bias, settings.iterations], float)
     e, P, lasting = compiled.scene_update(
         *state.arrays, state.error.P, state.error.lasting, start, given, state.positions(ids),
         scene_observations.rows(observations, state), options)

@@ -37,8 +37,8 @@ class VectorNoise(Checked):
         0.012, 'px', 'error that all vectors of a pair share, and again that all pairs share', 0.0,
         10.0)
     mover_lean: float = setting(
-        0.3, 'px', 'the same for each share of the vectors that movers have: encoders predict '
-        'vectors from those around', 0.0, 16.0)
+        0.2, 'px', 'the same for each share of the vectors that movers have, and a roll where '
+        'sides differ: encoders predict vectors from those around', 0.0, 16.0)
     place: float = setting(
         0.4, 'px', 'standard deviation of the place in its block that a vector tells of, to the '
         'right and down, which all pairs share', 0.0, 16.0)
@@ -99,9 +99,11 @@ class NoisyVectors:
         ``movers`` is their share of the vectors.
         """
         K, noise = self._street.camera.K, self._noise
-        sigma = np.hypot(noise.offset, noise.mover_lean * movers) / K[0, 0]
+        rays = to_rays(K, x)
+        arm = np.array([1.0, 1.0, 1 / np.sqrt(2 * np.mean(np.square(rays[:, :2])))])
+        sigma = np.hypot(noise.offset, noise.mover_lean * movers * arm) / K[0, 0]
         turn = sigma * (self._turn + self._rng.normal(0, 1, 3))
-        return to_pixels(K, to_rays(K, x) @ exp(turn).T)
+        return to_pixels(K, rays @ exp(turn).T)
 
     def _common(self, x: np.ndarray) -> np.ndarray:
         """Return unit errors (N, 2) that neighbouring blocks have partly in common."""

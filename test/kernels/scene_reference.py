@@ -2,6 +2,7 @@
 
 import formulas
 from formulas import plane_in_camera_jacobian, relative_motion_jacobian
+from kernels.two_view_reference import without_turn
 from mv_slapse.geometry import epipolar, rotation
 from mv_slapse.scene import gauge as scene_gauge
 from mv_slapse.scene.observations import linearised
@@ -34,10 +35,13 @@ def _of_pair(state, pair, index, ids, settings, width):
     planes = np.array([plane_in_camera(state, id_) for id_ in ids]).reshape(-1, 3)
     A, b, _ = formulas.normal_equations(
         pair, R, t, planes, index, settings.relief, width=width, bias=settings.depth_bias,
-        offset=settings.vector_bias, dependence=(settings.dependence, settings.depth_dependence))
+        dependence=(settings.dependence, settings.depth_dependence))
     G, focal = observation_jacobian(state, ids), pair.focal.mean()
+    leaning = settings.mover_bias * np.array([1.0, 1.0, pair.roll_arm])
+    turn = np.hypot(settings.vector_bias, leaning) / focal
+    A, b = without_turn(A, b, turn)
     lasting = np.zeros((state.size, N_LASTING))
-    lasting[:, TURN] = G.T @ A[:, :3] * settings.vector_bias / focal
+    lasting[:, TURN] = G.T @ A[:, :3] * turn
     longer = np.r_[rotation.log(R), t, -planes.ravel()].reshape(-1, 3)
     lasting[:, FOCAL] = G.T @ (A @ stretched(longer).ravel()) * settings.focal_sigma
     angles = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])

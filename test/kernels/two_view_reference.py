@@ -131,13 +131,13 @@ def without_bias(A: np.ndarray, b: np.ndarray, plane: np.ndarray, bias: float):
     return A - np.outer(column, column) / own, b - column * (plane @ b[6:]) / own
 
 
-def without_turn(A: np.ndarray, b: np.ndarray, sigma: float):
+def without_turn(A: np.ndarray, b: np.ndarray, sigma):
     """Marginalise a common error of all vectors out of normal equations.
 
-    An offset of all vectors is a turn of the camera by some ``sigma`` [rad]; what remains knows
-    the rotation no better.
+    An offset of all vectors is a turn of the camera by some ``sigma`` [rad], about each axis where
+    it has three; what remains knows the rotation no better.
     """
-    if not sigma:
+    if not np.any(sigma):
         return A, b
     columns = A[:, :3]
     own = A[:3, :3] + np.eye(3) / sigma**2

@@ -8,6 +8,7 @@ import made_up
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import Label, PlaneObservation
+from mv_slapse.scene import input as scene_input
 from mv_slapse.scene import state as scene_state
 from mv_slapse.scene.filter import SceneFilter
 from mv_slapse.scene.noise import Dependence, HeightWander, measured
@@ -100,5 +101,14 @@ def test_vectors_around_movers_lean_so_that_a_turn_adds_up(share):
         estimate = filter_.step(replace(
             seen, label=np.where(rows, Label.MOVING, seen.label).astype(np.int8),
             plane_id=np.where(rows, -1, seen.plane_id).astype(np.int32)))[0]
-    leaning = n * np.hypot(METRIC.vector_bias, METRIC.mover_bias * share) / seen.K[0, 0]
+    rolling = METRIC.mover_bias * share * scene_input.stationary(seen)[0].roll_arm
+    leaning = n * np.hypot(METRIC.vector_bias, rolling) / seen.K[0, 0]
     assert leaning < np.sqrt(estimate.pose_covariance[5, 5]) < leaning + 0.004
+
+
+def test_vectors_without_a_label_count_for_movers_as_the_others_do():
+    label = np.array([Label.MOVING] * 2 + [Label.STATIONARY] * 5 + [Label.INFINITY]
+                     + [Label.UNKNOWN] * 8, np.int8)
+    found = Dependence(4.0).settings(SceneSettings(mover_bias=0.8), label)
+    assert (found.mover_bias, found.dependence) == (pytest.approx(0.2), 4.0)
+    assert Dependence(4.0).settings(SceneSettings(), label[8:]).mover_bias == 0

@@ -21,7 +21,7 @@ import pytest
 
 ROAD, IDS = 4, [4, 9, 11, 13]
 SIMPLE = SceneSettings(relief=0.0, depth_bias=0.0, dependence=1.0, depth_dependence=1.0,
-                       vector_bias=1e-4, iterations=20)
+                       vector_bias=1e-4, mover_bias=0.0, iterations=20)
 
 
 def state_before(scene, rng, pose_sigma=0.02):
@@ -203,7 +203,8 @@ def test_dependence_and_bias_widen_the_covariance(rng, scene):
 
 def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
     """A turn of all vectors, places beside the middle, a wrong height, speed or focal length."""
-    settings = replace(SIMPLE, vector_bias=0.05, place_bias=0.5, focal_sigma=0.002)
+    settings = replace(SIMPLE, vector_bias=0.05, mover_bias=0.02, place_bias=0.5,
+                       focal_sigma=0.002)
 
     length = np.linalg.norm(scene.t)
 
@@ -222,7 +223,8 @@ def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
         return state.error_to(found)[6:12], found
 
     base, found = posterior(np.zeros(3), 1.65)
-    size = 0.05 / np.mean([K[0, 0], K[1, 1]])
+    leaning = 0.02 * np.array([1.0, 1.0, scene.pair.roll_arm])
+    size = np.hypot(0.05, leaning) / np.mean([K[0, 0], K[1, 1]])
     shifts = [posterior(scene.R.T @ (turn * size), 1.65)[0] - base for turn in np.eye(3)]
     shifts += [posterior(np.zeros(3), 1.65, 0.5 * side)[0] - base for side in np.eye(2)]
     shifts.append(posterior(np.zeros(3), 1.67)[0] - base)
