@@ -185,7 +185,8 @@ py::object see_height(const py::object& belief, const py::object& grid, const py
     for (const int j : possible)
       near += std::abs(pixels(i, 0) - pixels(j, 0)) < apart &&
               std::abs(pixels(i, 1) - pixels(j, 1)) < apart;
-    const double share = static_cast<double>(every) / (sites * near), rough = std::hypot(relief, tilt / falls[i]);
+    const double share = static_cast<double>(every) / (sites * near);
+    const double rough = std::hypot(relief, tilt / falls[i]);
     const double nothing = share * std::log(1 - right);
     for (py::ssize_t g = 0; g < cells; ++g) {
       const double expected = falls[i] * heights[g];

@@ -10,7 +10,6 @@ from mv_slapse.obstacles import units
 from mv_slapse.records import Extraction, SceneEstimate, WITH_POSE
 import numpy as np
 
-#: states in which a pose is published
 BOUND = 100  # messages kept on each topic
 
 Complete = Callable[[Any, Any, Any], None]

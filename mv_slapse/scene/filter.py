@@ -26,7 +26,7 @@ from mv_slapse.scene import state as scene_state
 from mv_slapse.scene import update as scene_update
 from mv_slapse.scene.noise import Agreement, Dependence
 from mv_slapse.scene.observations import Observation
-from mv_slapse.scene.progress import PATIENCE, Progress, SHORTEST
+from mv_slapse.scene.progress import Progress, SHORTEST
 from mv_slapse.scene.scale import height as scene_height
 from mv_slapse.scene.scale import ratio as scene_ratio
 from mv_slapse.scene.scale import rest as scene_rest
@@ -331,7 +331,8 @@ class SceneFilter:
         """Return by what lengths grow where grounds agree at last on what a metre is, else 1.
 
         A pair's ratio to the one before tells its way [map unit]; the first one is the unit.
-        Metres grow where they are wrong in bulk, by a ground that has contradicted them for long.
+        Metres, by which a way is predicted, grow where they are wrong in bulk, and only once the
+        ground has contradicted them for long.
         """
         progress, ground, length = self._progress, scene_gate.ground_seen(extraction), guess
         if progress.started and not progress.metric:
@@ -340,8 +341,9 @@ class SceneFilter:
             return 1.0
         progress.told_metres()
         self._grounds = self._grounds.seen(ground, length, self._settings)
-        metres = self._grounds.metres(scene_height.GROSS * progress.metric)
-        if metres is None or progress.metric and progress.misses[ground.id] < PATIENCE:
+        if progress.metric and not scene_gate.outlasts(progress.misses, ground.id):
+            return 1.0
+        if (metres := self._grounds.metres(scene_height.GROSS * progress.metric)) is None:
             return 1.0
         if self._map.ground in self._state.planes:  # It may be one that they contradict.
             self._map.leave(self._state, self._map.ground)

@@ -22,11 +22,16 @@ def trusted(state: SceneState, extraction: Extraction, known: set[int],
     """
     shown = {plane.id for plane in extraction.planes if plane.label == Label.STATIONARY}
     contradicting = shown & state.planes.keys() - known
+    found = {id for id in shown if id not in contradicting or outlasts(misses, id)}
     misses.update(contradicting)
-    found = {id for id in shown if id not in contradicting or misses[id] > PATIENCE}
     for id in found:
         del misses[id]
     return found
+
+
+def outlasts(misses: Counter[int], id: int) -> bool:
+    """Tell whether a plane has contradicted the map for so long that it is believed next time."""
+    return misses[id] >= PATIENCE
 
 
 def ground_of(extraction: Extraction, trusted: set[int]) -> int | None:
