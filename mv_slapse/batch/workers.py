@@ -83,7 +83,7 @@ class Pool:
     def __init__(self, client: Any):
         """Take a connected client."""
         from distributed import as_completed
-        self._client = client
+        self._client, self._address = client, client.scheduler.address
         self._tags: dict[Any, Any] = {}
         self._ended = as_completed([], loop=client.loop)
         self._call, self._numbers = uuid.uuid4().hex[:12], itertools.count()
@@ -98,7 +98,9 @@ class Pool:
     def threads(self) -> int:
         """How many tasks can run at once, as the scheduler said a moment ago."""
         if time.monotonic() > self._asked + RECENT:
-            self._threads, self._asked = sum(self._client.nthreads().values()), time.monotonic()
+            with self._needed():
+                self._threads = sum(self._client.nthreads().values())
+            self._asked = time.monotonic()
         return self._threads
 
     @property
@@ -109,10 +111,11 @@ class Pool:
 
     def submit(self, tag: Any, function: Callable, *args: Any, priority: int = 0):
         """Hand a task over; ``results`` tells how it ended. A higher priority comes first."""
-        future = self._client.submit(
-            _alone, function, *args, priority=priority, pure=False,
-            # of one group, so that Dask keeps back what the workers have no hand free for
-            key=(f'mv_slapse-{self._call}', next(self._numbers)))
+        with self._needed():
+            future = self._client.submit(
+                _alone, function, *args, priority=priority, pure=False,
+                # of one group, so that Dask keeps back what the workers have no hand free for
+                key=(f'mv_slapse-{self._call}', next(self._numbers)))
         self._tags[future] = tag
         self._ended.add(future)
 
@@ -129,9 +132,7 @@ class Pool:
         while self._tags:
             futures = self._ended.next_batch(block=True)
             if any(future.status not in ('finished', 'error') for future in futures):
-                raise UnusableCluster(
-                    f'the scheduler {self._client.scheduler.address} is lost; what was done is '
-                    'whole, and the same call goes on where this one ended')
+                raise self._lost()
             for future, value in zip(futures, self._values(futures), strict=True):
                 future.release()
                 yield self._tags.pop(future), value
@@ -145,8 +146,23 @@ class Pool:
 
     def ended_for_memory(self) -> set[str]:
         """Return the addresses of the workers that were ended for what memory they took."""
-        return {event['worker']
-                for _, event in self._client.get_events('worker-restart-memory') or ()}
+        with self._needed():
+            events = self._client.get_events('worker-restart-memory') or ()
+        return {event['worker'] for _, event in events}
+
+    @contextmanager
+    def _needed(self) -> Iterator[None]:
+        """Tell that the scheduler is lost where a question to it fails."""
+        from distributed.client import ClosedClientError
+        try:
+            yield
+        except (OSError, ClosedClientError) as error:
+            raise self._lost() from error
+
+    def _lost(self) -> UnusableCluster:
+        return UnusableCluster(
+            f'the scheduler {self._address} is lost; what was done is whole, and the same call '
+            'goes on where this one ended')
 
 
 def require_dask():

@@ -162,10 +162,16 @@ def messages(bag: BagReader, topic: str) -> dict:
 
 
 def trajectory(bag: BagReader, frames: RosFrames) -> Trajectory:
-    """Return the camera's trajectory in {W} from odometry and map."""
+    """Return the camera's trajectory in {W} from odometry and map.
+
+    The map is latched with depth 1: on a busy machine one can be replaced before it was sent. The
+    one before stands in, as in the node that joins them.
+    """
     odometry, maps = messages(bag, '/odometry'), messages(bag, '/planes/map')
-    scenes = [scene_from_messages(odometry[stamp], maps[stamp], frames)
-              for stamp in sorted(odometry)]
+    assert len(maps) > 0.9 * len(odometry)
+    scenes = [scene_from_messages(
+        odometry[stamp], maps[max(at for at in maps if at <= stamp)], frames)
+        for stamp in sorted(odometry)]
     return Trajectory(
         np.array([scene.stamp for scene in scenes], np.int64),
         np.array([scene.t_world_from_cam for scene in scenes]),

@@ -106,6 +106,8 @@ def test_a_scheduler_of_somebody_does_the_same_until_it_is_lost(call, table, cli
         assert (out / 'all' / name).read_bytes() == (clip.out / name).read_bytes()
     run_all = _lost_after_one(process)
     monkeypatch.setattr('mv_slapse.tools.batch.scheduling.run_all', run_all)
+    # so that it is asked, too, how many workers there are, as on a busy machine
+    monkeypatch.setattr('mv_slapse.batch.workers.RECENT', 0.0)
     code, text, err = call('batch', table, '-o', tmp_path / 'lost', '--scheduler', address,
                           '--no-report')
     assert code == 3
