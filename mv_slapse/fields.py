@@ -288,7 +288,7 @@ def _observation_to_fields(plane: PlaneObservation) -> Fields:
             'n_macroblocks': int(plane.n_macroblocks), 'plane': flat(plane.plane),
             'covariance': flat(plane.covariance), 't_d': flat(plane.t_d),
             'product': flat(plane.product), 'scale_prior': int(plane.scale_prior),
-            'score': float(plane.score), 'departed': float(plane.departed)}
+            'score': float(plane.score)}
 
 
 def _observation_from_message(msg: Any) -> PlaneObservation:
@@ -299,8 +299,7 @@ def _observation_from_message(msg: Any) -> PlaneObservation:
         check.numbers(msg.t_d, 'planes[].t_d', (3,), check.FARTHEST),
         check.numbers(msg.product, 'planes[].product', (3, 3), check.FARTHEST),
         check.member(ScalePrior, msg.scale_prior, 'planes[].scale_prior'), bool(msg.is_ground),
-        int(msg.n_macroblocks), check.number(msg.score, 'planes[].score'),
-        check.number(msg.departed, 'planes[].departed'))
+        int(msg.n_macroblocks), check.number(msg.score, 'planes[].score'))
 
 
 def _map_plane_to_fields(plane: MapPlane, frames: RosFrames) -> Fields:

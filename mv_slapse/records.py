@@ -184,8 +184,8 @@ class PlaneObservation:
         The plane the camera rides on.
     n_macroblocks : int
         Correspondences that support it.
-    score, departed : float, float
-        How much rather a mover moves than not, and has left its place: chi-square, all pairs.
+    score : float
+        How much rather a mover moves than not: chi-square, all pairs.
     """
 
     id: int
@@ -198,7 +198,6 @@ class PlaneObservation:
     is_ground: bool = False
     n_macroblocks: int = 0
     score: float = 0.0
-    departed: float = 0.0
 
 
 @dataclass(frozen=True)

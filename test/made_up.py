@@ -32,7 +32,7 @@ def observation(rng, label: Label, id_: int = 7) -> r.PlaneObservation:
     size = 6 if label is Label.MOVING else 3
     return r.PlaneObservation(id_, label, rng.normal(size=3), covariance(rng, size),
                               rng.normal(size=3), rng.normal(size=(3, 3)),
-                              r.ScalePrior.GROUND_CONTACT, True, 25, 17.5, 14.5)
+                              r.ScalePrior.GROUND_CONTACT, True, 25, 17.5)
 
 
 def extraction(rng, n: int = 30, stamp: int = 400_000_000) -> r.Extraction:

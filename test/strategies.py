@@ -79,7 +79,7 @@ def observations(draw):
         draw(ids), label, draw(vectors()), draw(covariances(6 if label is Label.MOVING else 3)),
         draw(vectors()), draw(array((3, 3), floats(-FAR, FAR))),
         draw(st.sampled_from(r.ScalePrior)), draw(st.booleans()), draw(counts),
-        draw(floats(-FAR, FAR)), draw(floats(-FAR, FAR)))
+        draw(floats(-FAR, FAR)))
 
 
 motions = st.builds(

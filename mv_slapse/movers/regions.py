@@ -270,6 +270,6 @@ def _labelled(extraction, alike, planes, ids, told, view):
         found.append(PlaneObservation(
             int(ids[i]), Label.MOVING, plane.plane, plane.covariance, plane.t_d, plane.product,
             plane.scale_prior, False, count_macroblocks(extraction.x_cur[member]),
-            float(max(told.total[i], told.gone[i])), float(told.gone[i])))
+            float(max(told.total[i], told.gone[i]))))
     return replace(extraction, label=label, plane_id=plane_id,
                    planes=(*extraction.planes, *found))

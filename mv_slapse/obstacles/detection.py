@@ -57,8 +57,7 @@ class Detection:
     block: np.ndarray  # (N, 2): sizes of its blocks [px]
     scale_prior: ScalePrior
     edge: Edge  # where it meets the ground; only read where the depth is evidence
-    score: float = 0.0  # how much rather its region moves than not,
-    departed: float = 0.0  # and has left where it stood, as of PlaneObservation
+    score: float = 0.0  # how much rather its region moves than not, as of PlaneObservation
     # the rate is evidence; else only the place is, and an obstacle with no other coasts
     has_rate: bool = True
 
@@ -179,7 +178,7 @@ def _detection(plane, x, block, view, unit):
         return None
     z, R, edge = found
     return Detection(plane.id, z, R, plane.scale_prior is ScalePrior.GROUND_CONTACT, x, block,
-                     plane.scale_prior, Edge(*edge.tolist()), plane.score, plane.departed)
+                     plane.scale_prior, Edge(*edge.tolist()), plane.score)
 
 
 def _centre(box, view):

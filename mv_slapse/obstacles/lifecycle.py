@@ -36,31 +36,30 @@ class Evidence(NamedTuple):
     overlap: float = 1.0  # intersection over union of the detection's box and the predicted one
     # of its region, that it moves, chi-square summed over key frame pairs; 0: not known
     score: float = 0.0
-    departed: float = 0.0  # the same of what shows that it has left where it stood
 
 
 def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSettings,
              false_starts: float = 0.0, alone: bool = True) -> bool:
     """Return whether a track's evidence makes it an obstacle that a planner may brake for.
 
-    A velocity that differs from zero after all of them, or a place that they have left, of
-    detections that are one body, in enough pairs over enough time. The more tracks come to nothing
-    (``false_starts``, [1/s]), the less likely the next one is an obstacle, and the surer it must
-    be. That a region's score lasts tells of a body of its own where the track is ``alone``: no
-    other obstacle's outline meets its own.
+    Detections of one body that moves, in enough pairs over enough time. The more tracks come to
+    nothing (``false_starts``, [1/s]), the less likely the next one is an obstacle, and the surer
+    it must be. A region's score tells once: that it moves, where the velocity after all
+    detections does not differ from zero yet, as of a leader whose speed hangs on one row of
+    blocks; else that it lasts, as a body's does, where the track is ``alone``: no other obstacle's
+    outline meets its own.
     """
     recent = within(evidence, settings.confirm_window)
     if len(recent) < settings.confirm_pairs:
         return False
     newest, slowest = recent[-1], settings.min_speed if is_metric else 0.0
-    # Of a car that starts the place tells before its speed does.
-    statistic = newest.statistic + max(newest.departed - EVEN_SCORE, 0.0)
-    moves = statistic > ekf.chi2_bound(settings.moving_confidence, 3)
+    bound = ekf.chi2_bound(settings.moving_confidence, 3)
+    moves, lasts = newest.statistic + newest.score > bound, newest.statistic > bound and alone
     lasted = 1e-9 * (newest.stamp - recent[0].start)
     sure = ONE_BODY + math.log(max(false_starts / USUAL_STARTS, 1.0))
     first_only = not any(e.dof for e in evidence)  # which only the settings can let suffice
     return (moves and newest.speed >= slowest and lasted >= settings.confirm_time - 1e-6
-            and (first_only or one_body(evidence) + alone * _lasting(newest.score) >= sure))
+            and (first_only or one_body(evidence) + lasts * _lasting(newest.score) >= sure))
 
 
 def _lasting(score):

@@ -222,8 +222,7 @@ class Track:
                                         view.compared_covariance, nearer)
         speed = norm(self.motion(view).velocity)
         self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic,
-                                      match.nis, match.dof, speed, match.overlap, detection.score,
-                                      detection.departed))
+                                      match.nis, match.dof, speed, match.overlap, detection.score))
         self.evidence = within(self.evidence, KEPT_EVIDENCE)
 
     def height(self, view: View) -> float:

@@ -243,7 +243,7 @@ def test_where_only_road_is_farther_than_before_no_car_has_left(stood, moves):
     found = after_departures(body if stood else box(0, 0, 0, 0), body, box(0, 0, 0, 0))
     there = body(found.x_cur)
     assert np.mean(found.label[there] == Label.MOVING) == pytest.approx(moves, abs=0.2)
-    assert all(plane.departed > 10 for plane in found.planes if plane.id in found.plane_id[there])
+    assert all(plane.score > 10 for plane in found.planes if plane.id in found.plane_id[there])
 
 
 def test_what_has_left_is_no_part_of_what_stands_beside_it_and_moves_alike():

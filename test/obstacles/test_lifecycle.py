@@ -62,14 +62,18 @@ def test_a_region_whose_score_lasts_needs_no_outline_if_it_is_alone():
     assert not lifecycle.confirms([*lasting, jumps[-1]], True, SETTINGS), 'the newest counts'
 
 
-@pytest.mark.parametrize(('departed', 'speed', 'confirmed'), [
-    (20.0, 5.0, True), (13.0, 5.0, False), (20.0, 0.1, False)],
-    ids=['gone', 'as wrong vectors go', 'too slow'])
-def test_a_place_that_was_left_tells_before_the_speed_does(departed, speed, confirmed):
-    starting = [item._replace(departed=departed) for item in evidence([5, 5], speed=speed)]
+@pytest.mark.parametrize(('score', 'speed', 'confirmed'), [
+    (20.0, 5.0, True), (5.0, 5.0, False), (20.0, 0.1, False)],
+    ids=['labelled', 'hardly', 'too slow'])
+def test_a_region_s_score_tells_that_it_moves_before_its_speed_does(score, speed, confirmed):
+    starting = [item._replace(score=score) for item in evidence([5, 5], speed=speed)]
     assert lifecycle.confirms(starting, True, SETTINGS) == confirmed
-    assert not lifecycle.confirms([item._replace(departed=0.0, score=departed)
-                                    for item in starting], True, SETTINGS)
+
+
+def test_a_score_does_not_tell_of_motion_and_of_a_body_at_once():
+    jumps = [item._replace(score=90.0) for item in evidence([5] * 4, overlap=0.5)]
+    assert not lifecycle.confirms(jumps, True, SETTINGS)
+    assert lifecycle.confirms([item._replace(statistic=50.0) for item in jumps], True, SETTINGS)
 
 
 def test_what_two_short_pairs_show_counts_as_one_of_their_time():
