@@ -6,7 +6,7 @@ position then misses, and whether map and trajectory are the same.
 """
 
 import argparse
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import json
 import os
 from pathlib import Path
@@ -19,7 +19,8 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from ffmpeg_image_transport_msgs.msg import FFMPEGPacket
-from mv_slapse.codec.encoding.encoder import encode, Encoding, pictures
+from mv_slapse.codec.encoding.encoder import encode, LOW_LATENCY, pictures
+from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.source import open_source
 from mv_slapse.fields import stamp_from_message
 from mv_slapse.geometry.plane import WELL_SEEN
@@ -35,8 +36,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 ROOT = Path(__file__).resolve().parents[2]
 CLIP = ROOT.parent / 'shared' / 'data' / 'kitti00'
-SIZE = 1240, 376
-ROBOT = Encoding('h264', 0, 10)  # a key picture each second, a pair each picture
+VIDEO, SIZE = CLIP / 'mpeg2.mpg', (1240, 376)
+ROBOT = replace(LOW_LATENCY, gop=10)  # a key picture each second, a pair each picture
 FOUR = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker')
 PERIOD = 0.1  # [s] between two pictures
 PATIENCE = 20.0  # [s]
@@ -89,10 +90,7 @@ class Drive:
 
     def __init__(self, low_latency: bool = False):
         self.node = rclpy.create_node('drive')
-        with open_source(CLIP / 'mpeg2.mpg') as source:
-            self._packets = list(source.packets())
-        if low_latency:
-            self._packets = list(encode(pictures(CLIP / 'mpeg2.mpg'), 1 / PERIOD, ROBOT))
+        self._packets = _packets(low_latency)
         self._truth = read_trajectory(CLIP / 'ground_truth.tum')
         self._video = self.node.create_publisher(FFMPEGPacket, 'video', 100)
         self.poses, self.maps, self.obstacles = {}, {}, {}
@@ -164,6 +162,13 @@ class Drive:
         at = [int(np.abs(self._truth.stamps + self._begin - s).argmin()) for s in (before, after)]
         true = np.linalg.norm(np.subtract(*self._truth.positions[at]))
         return float(abs(np.linalg.norm(self.position(after) - self.position(before)) - true))
+
+
+def _packets(low_latency: bool) -> list[Packet]:
+    if low_latency:
+        return list(encode(pictures(VIDEO), 1 / PERIOD, ROBOT))
+    with open_source(VIDEO) as source:
+        return list(source.packets())
 
 
 def killed(drive: Drive, line: Line, name: str, stands: bool = False) -> Outcome:

@@ -13,7 +13,7 @@ import sys
 import time
 
 from mv_slapse.evaluation import trajectory as evaluation
-from mv_slapse.fields import scene_from_messages, stamp_from_message
+from mv_slapse.fields import stamp_from_message
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.camera_info import read_camera
@@ -22,7 +22,7 @@ from mv_slapse.tools.bag import make_bag
 from nodes import fake_launch
 import numpy as np
 import rclpy
-from scipy.spatial.transform import Rotation
+from system.recorded import trajectory
 from system.recorder import Recorder
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -106,16 +106,9 @@ def said(recorded: BagReader) -> list[str]:
 
 def error(recorded: BagReader, truth: Trajectory) -> str:
     """Return how far the odometry is off."""
-    maps = {stamp_from_message(m.header.stamp): m for _, m in recorded.messages(['/planes/map'])}
     frames = RosFrames(R_base_from_cam=RosFrames().R_base_from_cam,
                        t_base_from_cam=np.array([0.0, 0.0, 1.65]))
-    scenes = [scene_from_messages(msg, maps[stamp], frames)
-              for _, msg in recorded.messages(['/odometry'])
-              if (stamp := stamp_from_message(msg.header.stamp)) in maps]
-    found = Trajectory(
-        np.array([scene.stamp for scene in scenes], np.int64),
-        np.array([scene.t_world_from_cam for scene in scenes]),
-        Rotation.from_matrix([scene.R_world_from_cam for scene in scenes]).as_quat())
+    found = trajectory(recorded, frames)
     figures = evaluation.figures(evaluation.evaluate(found, truth))
     return (f'{figures["n_poses"]} poses along {figures["distance_m"]:.1f} m are '
             f'{figures["ate_rigid_mean_percent"]:.2f} % off in the mean, after rigid alignment')

@@ -18,7 +18,7 @@ import endings  # noqa: E402
 from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
 from mv_slapse.config import SceneSettings, Settings  # noqa: E402
 from mv_slapse.evaluation import trajectory as evaluation  # noqa: E402
-from mv_slapse.fields import scene_from_messages, stamp_from_message  # noqa: E402
+from mv_slapse.fields import stamp_from_message  # noqa: E402
 from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.records import TrackingStatus  # noqa: E402
 from mv_slapse.scene.scale.height import ENOUGH  # noqa: E402
@@ -33,6 +33,7 @@ from mv_slapse.tools.run import run  # noqa: E402
 import numpy as np  # noqa: E402
 import rclpy  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
+from system.recorded import messages, trajectory  # noqa: E402
 from system.recorder import Recorder  # noqa: E402
 
 CAMERA_HEIGHT = 1.65
@@ -135,7 +136,9 @@ def replay(bag, names, folder) -> BagReader:
             assert recorder.spin(lambda: recorder.silent_for(3), 60)
     finally:
         rclpy.shutdown()
-    return BagReader(folder / 'recorded')
+    bag = BagReader(folder / 'recorded')
+    assert len(messages(bag, '/planes/map')) > 0.9 * len(messages(bag, '/odometry'))
+    return bag
 
 
 def connected(recorder, names) -> bool:
@@ -154,28 +157,6 @@ def recorded(drive, ros_domain, tmp_path_factory):
 @pytest.fixture(scope='module')
 def recorded_in_one(drive, ros_domain, tmp_path_factory):
     return replay(drive.bag, ('all_in_one',), tmp_path_factory.mktemp('one'))
-
-
-def messages(bag: BagReader, topic: str) -> dict:
-    """Return the messages of a topic by stamp."""
-    return {stamp_from_message(msg.header.stamp): msg for _, msg in bag.messages([topic])}
-
-
-def trajectory(bag: BagReader, frames: RosFrames) -> Trajectory:
-    """Return the camera's trajectory in {W} from odometry and map.
-
-    The map is latched with depth 1: on a busy machine one can be replaced before it was sent. The
-    one before stands in, as in the node that joins them.
-    """
-    odometry, maps = messages(bag, '/odometry'), messages(bag, '/planes/map')
-    assert len(maps) > 0.9 * len(odometry)
-    scenes = [scene_from_messages(
-        odometry[stamp], maps[max(at for at in maps if at <= stamp)], frames)
-        for stamp in sorted(odometry)]
-    return Trajectory(
-        np.array([scene.stamp for scene in scenes], np.int64),
-        np.array([scene.t_world_from_cam for scene in scenes]),
-        Rotation.from_matrix([scene.R_world_from_cam for scene in scenes]).as_quat())
 
 
 def assert_same_trajectory(found: Trajectory, expected: Trajectory):
