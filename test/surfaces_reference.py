@@ -161,12 +161,14 @@ def seen_again(blocks, known, least):
 
 def find_new(blocks, taken, room, least):
     """Return [plane, covariance, -1] of new planes."""
-    found, proposed = [], []
-    for w in dict.fromkeys(blocks.best[blocks.best >= 0]):
-        vacant = np.mean(taken[blocks.windows[w]] == 0) > 0.5
-        if vacant and np.sum(blocks.best == w) >= POLICY['judged']:
+    found, proposed, explained = [], [], taken
+    asked = {w: np.flatnonzero(blocks.best == w) for w in set(blocks.best[blocks.best >= 0])}
+    enough = POLICY['judged'] - 1
+    for w in sorted((w for w in asked if len(asked[w]) > enough), key=lambda w: asked[w][enough]):
+        if np.mean(explained[blocks.windows[w]] == 0) > 0.5:
             plane, near = blocks.grown(w)
             proposed.append((plane, np.where(near, blocks.gain(plane), 0)))
+            explained = np.maximum(explained, proposed[-1][1])
     for _ in range(2 * room):
         more = [np.maximum(gain - taken, 0).sum() for _, gain in proposed]
         if not more or max(more) < least or len(found) == room:

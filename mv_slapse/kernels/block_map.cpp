@@ -28,12 +28,6 @@ struct Known {  // what the map tells of a block: inverse depth in camera k-1
   bool any() const { return variance < INFINITE; }
 };
 
-// A named constant of policy, which Python holds.
-double policy(const py::dict& constants, const char* name) {
-  require(constants.contains(name), "block_map", name);
-  return constants[name].cast<double>();
-}
-
 std::vector<Point> points_of(const char* kernel, const py::object& object) {
   const In<double> rows(kernel, "points", object, {ANY, 5}, Check::finite);
   std::vector<Point> out(rows.size());

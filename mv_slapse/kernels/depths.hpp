@@ -14,12 +14,6 @@ namespace kernels {
 
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// A named constant of policy, which Python holds.
-inline double policy(const py::dict& constants, const char* name) {
-  if (!constants.contains(name)) throw py::value_error(std::string("no constant ") + name);
-  return constants[name].cast<double>();
-}
-
 inline Vec3 vector3(const char* kernel, const char* name, const py::object& object) {
   const In<double> v(kernel, name, object, {3}, Check::finite);
   return {v[0], v[1], v[2]};

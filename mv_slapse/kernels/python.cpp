@@ -5,6 +5,7 @@
 #include <pybind11/numpy.h>
 
 #include <algorithm>
+#include <unordered_map>
 
 namespace kernels::py {
 
@@ -48,6 +49,14 @@ object new_array(Type type, std::initializer_list<ssize_t> shape, void** data) {
   *data = array.mutable_data();
   std::fill_n(static_cast<char*>(*data), array.nbytes(), 0);
   return object::owned(array.release().ptr());
+}
+
+PyObject* dict::name(const char* key) {
+  static std::unordered_map<const char*, PyObject*> known;
+  PyObject*& name = known[key];
+  if (!name) name = PyUnicode_InternFromString(key);
+  if (!name) throw error_already_set();
+  return name;
 }
 
 std::string name_of(Type type) { return pb::str(dtype_of(type)); }

@@ -80,12 +80,16 @@ struct dict : object {
   explicit dict(object of) : object(std::move(of)) {
     if (!PyDict_Check(ptr())) throw value_error("an argument must be a dict");
   }
-  bool contains(const char* key) const { return PyDict_GetItemString(ptr(), key); }
   object operator[](const char* key) const {
-    PyObject* item = PyDict_GetItemString(ptr(), key);
-    if (!item) throw value_error(std::string("there is no ") + key);
-    return borrowed(item);
+    PyObject* item = PyDict_GetItemWithError(ptr(), name(key));
+    if (item) return borrowed(item);
+    if (PyErr_Occurred()) throw error_already_set();
+    throw value_error(std::string("no constant ") + key);
   }
+
+ private:
+  // The string of a key, made once for each place that asks for it.
+  static PyObject* name(const char* key);
 };
 
 struct kwargs : dict {

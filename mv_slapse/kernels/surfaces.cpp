@@ -172,12 +172,14 @@ struct Track {
   int first = 0, last = 0;  // blocks in columns near the window that proposes it
 };
 
+struct Sorted;
+
 // Sharp stationary blocks, ordered by column of macroblocks and row, their windows, and what
 // planes explain of them.
 class Search {
  public:
-  Search(const Policy& is, const Vec3& up, const std::vector<int>& sharp, const double* rays,
-         const double* rho, const double* sigma, const double* pixels);
+  Search(const Policy& is, const Vec3& up, Sorted sorted, const double* rays, const double* rho,
+         const double* sigma, const double* pixels);
   bool look();
   std::vector<Track> chosen(const std::vector<Gaussian>& known, const std::vector<int>& seen,
                             int room);
@@ -224,30 +226,37 @@ class Search {
   std::vector<std::vector<int>> parts_;
 };
 
-// Numbers of blocks sorted by column of macroblocks, then by row.
-std::vector<int> by_column(const std::vector<int>& sharp, const double* pixels) {
+// Numbers of blocks sorted by column of macroblocks, then by row, and the cells of all in that order.
+struct Sorted {
+  std::vector<int> order;
+  Cells cells;
+};
+
+Sorted by_column(const std::vector<int>& sharp, const double* pixels) {
   std::vector<double> x;
+  x.reserve(2 * sharp.size());
   for (const int i : sharp) x.insert(x.end(), {pixels[2 * i], pixels[2 * i + 1]});
-  const Cells cells(x.data(), static_cast<int>(sharp.size()));
-  std::vector<int> place(sharp.size()), order;
-  std::iota(place.begin(), place.end(), 0);
-  std::stable_sort(place.begin(), place.end(), [&](int a, int b) {
-    return std::pair(cells.column[a], cells.row[a]) < std::pair(cells.column[b], cells.row[b]);
-  });
-  for (const int i : place) order.push_back(sharp[i]);
-  return order;
+  const int n = static_cast<int>(sharp.size());
+  Cells cells(x.data(), n);
+  std::vector<int> next(cells.columns * cells.rows + 1, 0);
+  const auto cell = [&](int i) { return cells.column[i] * cells.rows + cells.row[i]; };
+  for (int i = 0; i < n; ++i) ++next[cell(i) + 1];
+  std::partial_sum(next.begin(), next.end(), next.begin());
+  std::vector<int> order(n), column(n), row(n);
+  for (int i = 0; i < n; ++i) {
+    const int place = next[cell(i)]++;
+    order[place] = sharp[i];
+    column[place] = cells.column[i];
+    row[place] = cells.row[i];
+  }
+  cells.column = std::move(column);
+  cells.row = std::move(row);
+  return {std::move(order), std::move(cells)};
 }
 
-std::vector<double> picked(const double* pixels, const std::vector<int>& order) {
-  std::vector<double> x;
-  for (const int i : order) x.insert(x.end(), {pixels[2 * i], pixels[2 * i + 1]});
-  return x;
-}
-
-Search::Search(const Policy& is, const Vec3& up, const std::vector<int>& sharp,
-               const double* rays, const double* rho, const double* sigma, const double* pixels)
-    : is_(is), up_(up), order_(by_column(sharp, pixels)),
-      cells_(picked(pixels, order_).data(), static_cast<int>(order_.size())),
+Search::Search(const Policy& is, const Vec3& up, Sorted sorted, const double* rays,
+               const double* rho, const double* sigma, const double* pixels)
+    : is_(is), up_(up), order_(std::move(sorted.order)), cells_(std::move(sorted.cells)),
       components_(cells_) {
   const int n = static_cast<int>(order_.size());
   blocks_.resize(n);
@@ -497,15 +506,17 @@ bool Search::settled(Track& track, std::vector<int>& part) {
   return more(part, track.gain) >= least_gain();
 }
 
-// Finds new planes, the one that explains most first: windows that judge enough blocks propose.
+// Finds new planes, the one that explains most first: windows that judge enough blocks propose,
+// unless what is known or proposed already explains half of their own.
 void Search::find_new(int room) {
   if (room <= 0) return;
   std::vector<Track> proposed;
+  std::vector<double> explained = taken_;  // by known planes and those proposed so far
   const int reach = static_cast<int>(is_.reach / 16) + 1;
   for (const int w : judges_) {
     const Window& window = windows_[w];
     int vacant = 0;
-    for (int k = window.begin; k < window.end; ++k) vacant += taken_[members_[k]] == 0;
+    for (int k = window.begin; k < window.end; ++k) vacant += explained[members_[k]] == 0;
     if (2 * vacant <= window.end - window.begin) continue;
     const int column = cells_.column[members_[window.begin]];
     const int first = first_from(column - reach), last = first_from(column + WIDEST + reach);
@@ -515,6 +526,7 @@ void Search::find_new(int room) {
       if (std::abs(x_[i] - window.centre[0]) >= is_.reach ||
           std::abs(y_[i] - window.centre[1]) >= is_.reach)
         track.gain[i] = 0;
+    for (int i = first; i < last; ++i) explained[i] = std::max(explained[i], track.gain[i]);
     proposed.push_back(std::move(track));
   }
   const std::size_t before = found_.size();
@@ -658,7 +670,7 @@ py::tuple find_planes(const py::object& rays, const py::object& rho, const py::o
   }
   std::vector<Gaussian> known;
   for (py::ssize_t i = 0; i < k; ++i) known.push_back(before[i]);
-  Search search(is, vector3(name, "up", up), sharp, ray.data(), depth.data(), noise.data(),
+  Search search(is, vector3(name, "up", up), by_column(sharp, pixels.data()), ray.data(), depth.data(), noise.data(),
                 pixels.data());
   std::vector<Track> found;
   if (static_cast<double>(sharp.size()) >= is.min_macroblocks && search.look())
