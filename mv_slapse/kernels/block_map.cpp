@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -21,6 +22,7 @@ struct Point {  // of the map, in the camera of a key frame
   double rho;   // inverse distance [1/map unit]
   double variance;
 };
+static_assert(sizeof(Point) == 5 * sizeof(double));  // as rows of an array are
 
 struct Known {  // what the map tells of a block: inverse depth in camera k-1
   double rho, variance;
@@ -31,22 +33,21 @@ struct Known {  // what the map tells of a block: inverse depth in camera k-1
 std::vector<Point> points_of(const char* kernel, const py::object& object) {
   const In<double> rows(kernel, "points", object, {ANY, 5}, Check::finite);
   std::vector<Point> out(rows.size());
-  for (py::ssize_t i = 0; i < rows.size(); ++i)
-    out[i] = {{rows(i, 0), rows(i, 1), rows(i, 2)}, rows(i, 3), rows(i, 4)};
+  if (!out.empty()) std::memcpy(out.data(), rows.data(), out.size() * sizeof(Point));
   return out;
 }
 
-py::array_t<double> array_of(const std::vector<Point>& points) {
-  Out<double> out({static_cast<py::ssize_t>(points.size()), 5});
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    const Point& p = points[i];
-    const double row[5] = {p.ray[0], p.ray[1], p.ray[2], p.rho, p.variance};
-    std::copy_n(row, 5, out.data() + 5 * i);
-  }
+// The newest points, so many at most.
+py::array_t<double> array_of(const std::vector<Point>& points, std::size_t most) {
+  const std::size_t n = std::min(points.size(), most);
+  Out<double> out({static_cast<py::ssize_t>(n), 5});
+  if (n) std::memcpy(out.data(), points.data() + (points.size() - n), n * sizeof(Point));
   return out.array();
 }
 
-double middle_of(std::vector<double> values) { return values.empty() ? 0 : median(values); }
+double middle_of(std::vector<double> values) {
+  return values.empty() ? 0 : median(values);
+}
 
 // A picture's macroblocks.
 struct Picture {
@@ -309,7 +310,7 @@ Fit terms(const Foretold& pair, const TwoView& view, double width) {
   return out;
 }
 
-constexpr std::size_t EVERY = 3;  // of the blocks, by which starts are judged
+constexpr std::size_t EVERY = 3;  // of the blocks, by which starts and medians are judged
 
 // Number of blocks whose depth both the map and the pair's own motion, |t| = 1, tell (to the share
 // ``sure``), and the median of the length [map unit] that they give it.
@@ -460,10 +461,14 @@ struct Seen {  // a block's own inverse depth in camera k, and what the map fore
   bool good, foretold;
 };
 
-std::vector<Seen> measured(const PairArrays& pair, const std::vector<Known>& known,
-                           const TwoView& view, double epsilon) {
+// What each block shows, and the usual inverse depth: of what the map foretold, or of the pair's.
+std::pair<std::vector<Seen>, double> measured(const PairArrays& pair,
+                                              const std::vector<Known>& known,
+                                              const TwoView& view, double epsilon) {
   std::vector<Seen> out(pair.size());
   std::vector<double> foretold, own;
+  foretold.reserve(pair.size());
+  own.reserve(pair.size());
   const Vec3& t = view.t;
   const auto error = epipolar_errors(pair.blocks(), view);
   for (std::size_t i = 0; i < pair.size(); ++i) {
@@ -485,7 +490,7 @@ std::vector<Seen> measured(const PairArrays& pair, const std::vector<Known>& kno
     }
     if (one.good) own.push_back(one.rho);
   }
-  const double usual = foretold.size() > 20 ? middle_of(foretold) : middle_of(own);
+  const double usual = middle_of(std::move(foretold.size() > 20 ? foretold : own));
   for (std::size_t i = 0; i < pair.size(); ++i) {
     // By the depth that was foretold: by its own, what errs towards the camera would count more.
     const double rho = out[i].foretold ? out[i].before : usual, ahead = 1 - rho * t[2];
@@ -493,7 +498,7 @@ std::vector<Seen> measured(const PairArrays& pair, const std::vector<Known>& kno
                  gy = (t[1] - pair.rays_cur(i, 1) * t[2]) * view.fy;
     out[i].sigma = ahead * ahead * pair.sigma[i] / std::max(std::sqrt(gx * gx + gy * gy), 1e-12);
   }
-  return out;
+  return {std::move(out), usual};
 }
 
 // Points after a pair: moved, corrected by its blocks, and joined by new ones where there was none.
@@ -512,25 +517,22 @@ py::array_t<double> fuse_map(const py::object& points_, const py::tuple& pair_,
   const auto known = known_of(kernel, known_, pair.rays_cur.size());
   const Picture picture(kernel, picture_[0], picture_[1]);
   move(points, view, policy(is, "inflation"));
-  const auto seen = measured(pair, known, view, policy(is, "epsilon"));
+  const auto [seen, usual] = measured(pair, known, view, policy(is, "epsilon"));
   // The surest block of each macroblock.
   std::vector<int> first(picture.columns * picture.rows, -1);
-  std::vector<double> usual, own;
   for (std::size_t i = 0; i < seen.size(); ++i) {
-    if (seen[i].foretold) usual.push_back(seen[i].before);
     if (!seen[i].good) continue;
-    own.push_back(seen[i].rho);
     const auto [x, y] = picture.pixel({pair.rays_cur(i, 0), pair.rays_cur(i, 1), 1});
     const int cell = picture.cell(x, y);
     if (cell >= 0 && (first[cell] < 0 || seen[i].sigma < seen[first[cell]].sigma))
       first[cell] = static_cast<int>(i);
   }
-  const double typical = usual.empty() ? middle_of(own) : middle_of(usual);
   std::vector<double> distances;
-  for (const Point& p : points) distances.push_back(p.rho);
-  const double worst = 1.5 * middle_of(distances);
+  for (std::size_t k = 0; k < points.size(); k += EVERY) distances.push_back(points[k].rho);
+  const double worst = 1.5 * std::max(middle_of(std::move(distances)), 0.0);
   const double gate = policy(is, "gate"), least = policy(is, "least_gain"),
-               sure = policy(is, "sure"), doubt = policy(is, "doubt");
+               sure = policy(is, "sure"), doubt = policy(is, "doubt"),
+               relief = policy(is, "first_relief");
   std::vector<int> best(first.size(), -1);  // the surest point of each macroblock: it stays alone
   const auto unsure = [&](int k) {
     return points[k].variance / std::max(points[k].rho * points[k].rho, 1e-24);
@@ -559,30 +561,27 @@ py::array_t<double> fuse_map(const py::object& points_, const py::tuple& pair_,
       }
     }
     const int other = best[cell], own_number = static_cast<int>(k);
-    if (!(std::sqrt(p.variance) < worst) || (other >= 0 && unsure(other) <= unsure(own_number))) {
+    if (!(p.variance < worst * worst) || (other >= 0 && unsure(other) <= unsure(own_number))) {
       kept[k] = 0;
     } else {
       if (other >= 0) kept[other] = 0;
       best[cell] = own_number;
     }
   }
-  std::vector<Point> fresh;
+  std::size_t n = 0;
+  for (std::size_t k = 0; k < points.size(); ++k)
+    if (kept[k]) points[n++] = points[k];
+  points.resize(n);
   for (std::size_t cell = 0; cell < first.size(); ++cell) {
     if (best[cell] >= 0 || first[cell] < 0) continue;
     const Seen& one = seen[first[cell]];
-    if (!(one.sigma < typical && one.rho > -3 * one.sigma)) continue;
+    if (!(one.sigma < usual && one.rho > -3 * one.sigma)) continue;
     const Vec3 ray{pair.rays_cur(first[cell], 0), pair.rays_cur(first[cell], 1), 1};
-    const double n = norm(ray), rough = policy(is, "first_relief") * one.rho;
-    fresh.push_back({(1 / n) * ray, one.rho / n,
-                     (one.sigma * one.sigma + rough * rough) / (n * n)});
+    const double length = norm(ray), rough = relief * one.rho;
+    points.push_back({(1 / length) * ray, one.rho / length,
+                      (one.sigma * one.sigma + rough * rough) / (length * length)});
   }
-  std::vector<Point> out;
-  for (std::size_t k = 0; k < points.size(); ++k)
-    if (kept[k]) out.push_back(points[k]);
-  out.insert(out.end(), fresh.begin(), fresh.end());
-  const auto limit = static_cast<std::size_t>(policy(is, "most"));
-  if (out.size() > limit) out.erase(out.begin(), out.end() - static_cast<std::ptrdiff_t>(limit));
-  return array_of(out);
+  return array_of(points, static_cast<std::size_t>(policy(is, "most")));
 }
 
 }  // namespace

@@ -81,7 +81,7 @@ def fused(points, pair, known, R, t):
     first = {c: min(np.flatnonzero(good & (block == c)), key=lambda i: sigma[i])
              for c in np.unique(block[good & (block >= 0)])}
     cell = np.where(points[:, 2] > 0.05, cells(pixels(points)), -1)
-    worst, kept = 1.5 * np.median(points[:, 3]), np.ones(len(points), bool)
+    worst, kept = 1.5 * np.median(points[::3, 3]), np.ones(len(points), bool)
     for k in np.flatnonzero(cell >= 0):
         i = first.get(cell[k])
         if i is not None and foretold[i]:
