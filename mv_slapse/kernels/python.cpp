@@ -51,12 +51,12 @@ object new_array(Type type, std::initializer_list<ssize_t> shape, void** data) {
   return object::owned(array.release().ptr());
 }
 
-PyObject* dict::name(const char* key) {
+PyObject* string_of(const char* literal) {
   static std::unordered_map<const char*, PyObject*> known;
-  PyObject*& name = known[key];
-  if (!name) name = PyUnicode_InternFromString(key);
-  if (!name) throw error_already_set();
-  return name;
+  PyObject*& string = known[literal];
+  if (!string) string = PyUnicode_InternFromString(literal);
+  if (!string) throw error_already_set();
+  return string;
 }
 
 std::string name_of(Type type) { return pb::str(dtype_of(type)); }

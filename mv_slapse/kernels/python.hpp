@@ -24,6 +24,9 @@ struct value_error : std::runtime_error {
 };
 struct error_already_set {};  // Python has been told of it
 
+// The string of a literal, made once for each place that names it.
+PyObject* string_of(const char* literal);
+
 class object {
  public:
   object() = default;
@@ -50,7 +53,7 @@ class object {
   PyObject* ptr() const { return of_; }
   PyObject* release() { return std::exchange(of_, nullptr); }
   bool is_none() const { return of_ == Py_None; }
-  object attr(const char* name) const { return owned(PyObject_GetAttrString(of_, name)); }
+  object attr(const char* name) const { return owned(PyObject_GetAttr(of_, string_of(name))); }
   template <typename T>
   T cast() const;
 
@@ -81,15 +84,11 @@ struct dict : object {
     if (!PyDict_Check(ptr())) throw value_error("an argument must be a dict");
   }
   object operator[](const char* key) const {
-    PyObject* item = PyDict_GetItemWithError(ptr(), name(key));
+    PyObject* item = PyDict_GetItemWithError(ptr(), string_of(key));
     if (item) return borrowed(item);
     if (PyErr_Occurred()) throw error_already_set();
     throw value_error(std::string("no constant ") + key);
   }
-
- private:
-  // The string of a key, made once for each place that asks for it.
-  static PyObject* name(const char* key);
 };
 
 struct kwargs : dict {
