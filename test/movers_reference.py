@@ -3,9 +3,10 @@
 from types import SimpleNamespace
 
 import formulas
-from mv_slapse.geometry import blocks, epipolar, moving_plane
+from mv_slapse.geometry import blocks, epipolar
 from mv_slapse.geometry.blocks import grid_index, grid_shape
 from mv_slapse.geometry.camera import to_pixels, to_rays
+from mv_slapse.geometry.moving_plane import homography
 import numpy as np
 import obstacles_reference
 from scipy import ndimage
@@ -13,7 +14,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-RATE, SLOPE = moving_plane.RATE, moving_plane.SLOPE
+from benchmarks.papers import moving_plane
+from benchmarks.papers.moving_plane import RATE, SLOPE
 
 
 def split(members, first):
@@ -115,7 +117,7 @@ def fit_one(x, x_prev, sigma, view, down, rules):
 
     rays = to_rays(view.K, x)
     centre = np.array([0.5 * (rank(v, 0.05) + rank(v, 0.95)) for v in rays[:, :2].T])
-    parallax = rays[:, :2] - epipolar.derotate(to_rays(view.K, x_prev), view.R)[:, :2]
+    parallax = rays[:, :2] - formulas.derotate(to_rays(view.K, x_prev), view.R)[:, :2]
     theta = np.r_[[rank(v, 0.5) for v in parallax.T], np.zeros(3)]
     rows = np.array([[1 / rules.yaw_sigma, 0],
                      (down[:2] - down[2] * centre) / rules.upright_sigma])
@@ -216,7 +218,7 @@ def grown(pair, regions, moving, products, view, rules):
         low, high = x.min(axis=0) - rules.macroblock, x.max(axis=0) + rules.macroblock
         low[1] -= 0.5 * (high[1] - low[1])
         near = np.flatnonzero(free & np.all((pair.x >= low) & (pair.x <= high), axis=1))
-        H = moving_plane.homography(product, view.K, view.R)
+        H = homography(product, view.K, view.R)
         before = to_pixels(H, np.c_[pair.x[near], np.ones(len(near))])
         error = np.linalg.norm(before - pair.x_prev[near], axis=1)
         length = np.linalg.norm(regions.parallax[near], axis=1)
@@ -388,5 +390,5 @@ def settled(fit, alike, i, view, ground, rules):
     covariance = by_theta @ np.pad(fit.covariance[i], (0, 1)) @ by_theta.T
     covariance[5, 5] += variance
     state, jacobian = moving_plane.to_plane(np.r_[theta, log_depth], centre, view.t)
-    return (state[:3], state[3:], jacobian @ covariance @ jacobian.T,
-            moving_plane.product(theta, centre), found is not None, covariance[2, 2])
+    return (state[:3], jacobian @ covariance @ jacobian.T, state[3:],
+            moving_plane.product(theta, centre), found is not None)

@@ -268,8 +268,7 @@ def _labelled(extraction, alike, planes, ids, told, view):
         label[member] = Label.MOVING
         plane_id[member] = ids[i]
         found.append(PlaneObservation(
-            int(ids[i]), Label.MOVING, plane.plane, plane.covariance, plane.t_d, plane.product,
-            plane.scale_prior, False, count_macroblocks(extraction.x_cur[member]),
+            int(ids[i]), Label.MOVING, *plane, False, count_macroblocks(extraction.x_cur[member]),
             float(max(told.total[i], told.gone[i]))))
     return replace(extraction, label=label, plane_id=plane_id,
                    planes=(*extraction.planes, *found))

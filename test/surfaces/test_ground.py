@@ -229,9 +229,9 @@ def observed(depths, parallax):
     """Return right vectors that show some depths."""
     n = len(depths)
     pair = Pair(depths.rays, depths.rays, depths.x, np.full(n, 0.3), np.eye(3))
-    no, yes, flow = np.zeros(n, bool), np.ones(n, bool), np.c_[parallax, np.zeros(n)]
-    return BlockObservations(pair, np.zeros(n), depths.rho, depths.sigma, depths.sigma,
-                             depths.sigma, parallax, flow, yes, no, no, yes)
+    no, yes = np.zeros(n, bool), np.ones(n, bool)
+    return BlockObservations(pair, np.zeros(n), depths.rho, depths.sigma, depths.sigma, parallax,
+                             yes, no, no, yes)
 
 
 def surveyed(rng, prior, learns=True, turn=0.0, n=120):
