@@ -78,10 +78,6 @@ class View:
         """Return how tall [map unit] an obstacle may be, given a ground."""
         return TALLEST * self.metre
 
-    def to_world(self, X_cam: np.ndarray) -> np.ndarray:
-        """Return points (N, 3) or (3,) of the camera frame in {W}."""
-        return X_cam @ self.R_world_from_cam.T + self.t_world_from_cam
-
     def plane_to_cam(self, plane_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a plane of {W} in the camera, upper half of (16), and the derivative (3, 3)."""
         R = self.R_world_from_cam
