@@ -28,7 +28,7 @@ def per_region(values, first):
     return np.add.reduceat(values, first)
 
 
-def moving_regions(pair, view, ground, nearer, free_growth, rules):
+def moving_regions(pair, view, ground, nearer, rules):
     """Return what the kernel of that name does."""
     rays, before = to_rays(view.K, pair.x), to_rays(view.K, pair.x_prev)
     focal, n = np.diag(view.K)[:2], len(pair.x)
@@ -45,7 +45,7 @@ def moving_regions(pair, view, ground, nearer, free_growth, rules):
     field = SimpleNamespace(
         m=m, length=length, ground_like=ground_like, far=far,
         below=rho + 2 * noise < rules.below_ground * under, growth=nearing / (1 + nearing))
-    a, b = alike(pair, field, free_growth, rules)
+    a, b = alike(pair, field, rules)
     usable = ~ground_like | bridges(pair.x, ground_like, a, b, rules)
     joined, index = usable[a] & usable[b], np.flatnonzero(usable & ~far)
     graph = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), shape=(n, n))
@@ -69,25 +69,18 @@ def copied(pair, rules):
     return found
 
 
-def alike(pair, field, free_growth, rules):
+def alike(pair, field, rules):
     """Return the two blocks (P,), (P,) of each pair of neighbours whose vectors are alike."""
     x, m, n = pair.x, field.m, len(pair.x)
     a, b = cKDTree(x).query_pairs(rules.reach, output_type='ndarray').T
     longer = np.maximum(field.length[a], field.length[b])
     slack = np.clip(rules.alike_short * np.median(field.length), 0.5, 1.0) * rules.alike
     by, (growth, more) = x[a] - x[b], (field.growth[at] for at in (a, b))
-    shares = [np.where(np.abs(growth) < np.abs(more), growth, more)]
-    if free_growth:
-        moves = field.length > rules.resting
-        stretch, size = (sum(np.bincount(at, (moves[a] & moves[b]) * np.sum(values * by, axis=1),
-                                         n) for at in (a, b)) for values in (m[a] - m[b], by))
-        own = stretch / np.maximum(size, 1.0)
-        own *= np.abs(own) <= free_growth
-        shares += [own[a], own[b]]
-    apart, *left = (np.linalg.norm(m[a] - m[b] - share[:, None] * by, axis=1)
-                    for share in (np.zeros(len(a)), *shares))
+    share = np.where(np.abs(growth) < np.abs(more), growth, more)
+    apart, left = (np.linalg.norm(m[a] - m[b] - by_depth[:, None] * by, axis=1)
+                   for by_depth in (np.zeros(len(a)), share))
     same = ((apart < slack + rules.alike_share * longer)
-            | (np.min(left, axis=0) < slack + rules.alike_grown * longer))
+            | (left < slack + rules.alike_grown * longer))
     same &= (pair.plane_id[a] == pair.plane_id[b]) & ~field.far[a] & ~field.far[b]
     same &= field.below[a] == field.below[b]
     a, b = a[same], b[same]
