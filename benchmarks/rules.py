@@ -403,8 +403,6 @@ RULES = (
     Rule('merging tracks', 'tracks of one vehicle become one', {TRACKER + '_merge': NOTHING}),
     Rule('absorbing parts', 'a detection on an obstacle just seen is a part of it',
          {TRACKER + '_absorb': gives(lambda self, free, stamp: free)}),
-    Rule('other face', 'at the picture\'s edge another face goes on as the obstacle',
-         {TRACKER + '_is_other_face': NO}),
     Rule('expected places', 'two obstacles are not joined into one',
          {OBSTACLES + 'association:_as_expected': YES}),
     Rule('false starts', 'the more tracks fail the surer the next must be',

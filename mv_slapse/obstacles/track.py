@@ -12,7 +12,7 @@ from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import association
 from mv_slapse.obstacles import motion_model as om
-from mv_slapse.obstacles.detection import body_box, box_of, cut_sides, Detection, Edge, is_cut
+from mv_slapse.obstacles.detection import body_box, box_of, Detection, Edge, is_cut
 from mv_slapse.obstacles.lifecycle import Evidence, within
 from mv_slapse.obstacles.view import UNSCALED_SPEED, View
 from mv_slapse.records import Extraction, Label, Obstacle, ObstacleState, PlaneHandover, ScalePrior
@@ -27,7 +27,6 @@ FOOT_SIGMA = 2.5  # [px] by which it is wrong for as long as the obstacle looks 
 SAME_OUTLINE = 0.6  # overlap with the predicted box of 96 % of right detections, or more
 SETTLED = 3  # detections that tell where the outline should be
 OUTLINE_TIMES = 2.0  # correlation times over which outlines are averaged, which err alike in one
-BODY = ('mu', 'P', 'extent', 'edge', 'scale_prior', 'drift')  # what a track knows of a vehicle
 NO_PLANE = -1  # id of the plane of a track whose plane is another one's now
 CLEARANCE = 0.12  # of ln Z: vehicles seen from behind end 0.2 m above the road, of 1.65 m
 BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
@@ -141,31 +140,9 @@ class Track:
         names = ['x', 'block', 'last_seen']
         names += ['plane_id'] * (other.plane_id != NO_PLANE)
         if other.P[2, 2] < self.P[2, 2]:
-            names += [*BODY, 'evidence']
+            names += ['mu', 'P', 'extent', 'edge', 'scale_prior', 'drift', 'evidence']
         else:
             self.evidence = within([*self.evidence, other.evidence[-1]], KEPT_EVIDENCE)
-        self._take(other, names)
-
-    def may_show(self, detection: Detection, view: View, gate: float) -> bool:
-        """Return whether a detection at the edge of the picture may be a face of this obstacle.
-
-        The same edge cuts both, and they have one velocity.
-        """
-        if not np.any(cut_sides(self.extent, view) & cut_sides(detection.box, view)):
-            return False
-        old, new = self.motion(view), om.motion(detection.z, detection.R, view.scene_velocity,
-                                                np.zeros((3, 3)))
-        return ekf.squared_distance(new.velocity - old.velocity, (
-            new.covariance + old.covariance)[3:, 3:]) < ekf.chi2_bound(gate, 3)
-
-    def restart(self, detection: Detection, extraction: Extraction, view: View):
-        """Go on with what a detection alone tells, as of another face of the same vehicle."""
-        new = start(detection, extraction, view, self.id)
-        self._take(new, ('x', 'block', 'last_seen', 'plane_id', *BODY))
-        self.evidence = within([*self.evidence, *new.evidence], KEPT_EVIDENCE)
-
-    def _take(self, other, names):
-        """Take what another track has under some names."""
         for name in names:
             setattr(self, name, getattr(other, name))
 

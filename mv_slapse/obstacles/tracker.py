@@ -87,16 +87,15 @@ class ObstacleTracker:
                         if not self._expired(track, extraction.previous_stamp)]
         self._change_unit(scene)
         view = view_of(extraction, scene, self._scene, self._view)
-        gone = self._predict(extraction, scene, view)
+        self._predict(extraction, scene, view)
         self._scene, self._view = scene, view
-        owners = {track.plane_id: track for track in (*gone, *self._tracks)}
+        owners = {track.plane_id: track for track in self._tracks}
         expected = {track.plane_id: track.box(view) for track in self._tracks}
         found = [joined(group, view) for group in association.groups(
             detections(extraction, view, self._settings), self._settings.gate, expected,
             lambda group: self._may_be_one(group, extraction))]
         free = self._continue(found, owners, extraction)
         self._search(extraction)
-        free = [item for item in free if not self._is_other_face(item, owners, extraction)]
         free = self._absorb(free, extraction.stamp)
         self._begin(free, extraction)
         self._merge()
@@ -128,17 +127,16 @@ class ObstacleTracker:
                          for id_, item in self._waiting.items()}
 
     def _predict(self, extraction, scene, view):
-        """Move the tracks on; drop and return those that leave the view."""
+        """Move the tracks on; drop those that leave the view."""
         if self._scene is None:
-            return []
+            return
         dt = 1e-9 * (extraction.stamp - self._scene.stamp)
         R, t = view.R_cur_from_prev, view.t_cur_from_prev
         if extraction.previous_stamp != self._scene.stamp:
             R, t = relative_motion(self._scene, scene)
         step = CameraStep(R, t, dt, self._view.scene_velocity, self._view.scene_covariance)
-        gone = [track for track in self._tracks if not track.predict(step, view, self._settings)]
-        self._tracks = [track for track in self._tracks if track not in gone]
-        return gone
+        self._tracks = [track for track in self._tracks
+                        if track.predict(step, view, self._settings)]
 
     def _continue(self, found, owners, extraction):
         """Update tracks by their detections; return the detections that have none."""
@@ -162,21 +160,6 @@ class ObstacleTracker:
         for track in self._tracks:
             if track is not owner and track.plane_id == owner.plane_id:
                 track.plane_id = tracks.NO_PLANE
-
-    def _is_other_face(self, item, owners, extraction):
-        """Tell whether a detection is what the picture's edge leaves of an obstacle; restart that.
-
-        Where the front has left the picture the side is seen, which lies and grows otherwise, but
-        goes where the front went.
-        """
-        track = owners.get(item.id)
-        if (track is None or not track.confirmed or track.last_seen == extraction.stamp
-                or not track.may_show(item, self._view, self._settings.gate)):
-            return False
-        track.restart(item, extraction, self._view)
-        if track not in self._tracks:
-            self._tracks.append(track)
-        return True
 
     def _may_be_one(self, group, extraction):
         """Return whether detections may be surfaces of one vehicle by the ground they cover."""
