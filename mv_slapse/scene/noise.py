@@ -94,10 +94,10 @@ class HeightWander:
     def seen(self, state: SceneState, extraction: Extraction,
              settings: SceneSettings) -> 'HeightWander':
         """Return it after one more pair."""
-        ground = scene_gate.ground_plane(extraction)
+        ground = scene_gate.ground_seen(extraction)
         if not settings.camera_height or ground is None:
             return self
-        metric = np.log(settings.camera_height * norm(ground))
+        metric = np.log(settings.camera_height * norm(ground.plane))
         departure = float(metric - log_baseline(state)[0])
         dt = (extraction.stamp - extraction.previous_stamp) * 1e-9
         mean = self.mean + min(dt / WANDER_TIME, 1.0) * (departure - self.mean)
