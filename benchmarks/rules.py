@@ -415,8 +415,6 @@ RULES = (
          {TRACKER + '_may_drive': YES}),
     Rule('unrest', 'a steady obstacle has little acceleration',
          {OBSTACLES + 'track:Track._unrest': gives(lambda self: 1.0)}),
-    Rule('jumping outline', 'a detection whose outline jumps is believed less',
-         {OBSTACLES + 'track:_doubted': FIRST}),
     Rule('correlated outlines', 'what is wrong alike in successive pairs is not averaged',
          {OBSTACLES + 'track:_correlated': FIRST}),
     Rule('depth by the ground', 'an obstacle\'s depth comes from the map\'s ground',

@@ -24,8 +24,6 @@ UNREST_RANGE = (0.3, 3.0)  # of the acceleration, calm and in a manoeuvre
 EDGE_SHARE = 0.3  # [1/sqrt(s)]
 POINT_SHARE, PART_SHARE = 0.1, 0.5  # of an obstacle's size; the latter at the picture's edge
 FOOT_SIGMA = 2.5  # [px] by which it is wrong for as long as the obstacle looks the same
-SAME_OUTLINE = 0.6  # overlap with the predicted box of 96 % of right detections, or more
-SETTLED = 3  # detections that tell where the outline should be
 OUTLINE_TIMES = 2.0  # correlation times over which outlines are averaged, which err alike in one
 NO_PLANE = -1  # id of the plane of a track whose plane is another one's now
 CLEARANCE = 0.12  # of ln Z: vehicles seen from behind end 0.2 m above the road, of 1.65 m
@@ -94,10 +92,7 @@ class Track:
 
         A place alone is no evidence: the less is known of the way the more blocks pass there.
         """
-        box = self.box(view)
-        shared = association.box_overlap(box, clipped(detection.box, view))
-        if shared < SAME_OUTLINE and len(self.evidence) >= SETTLED:
-            detection = _doubted(detection, shared, box, view)
+        shared = association.box_overlap(self.box(view), clipped(detection.box, view))
         distance, dof = association.squared_distance(self.mu, self.P, detection)
         excess = max(1.0, distance / ekf.chi2_bound(settings.gate, dof))
         if excess > 1 and detection.has_rate and self._disagreed(settings):
@@ -284,19 +279,6 @@ def clipped(box: np.ndarray, view: View) -> np.ndarray:
     left, top = min(max(x, 0.0), across), min(max(y, 0.0), down)
     return np.array([left, top, min(max(x + width, 0.0), across) - left,
                      min(max(y + height, 0.0), down) - top])
-
-
-def _doubted(detection, shared, box, view):
-    """Return a detection whose outline jumped, believed the less the less it shares of the box.
-
-    Where two vehicles meet in the picture their blocks make one region for a while: its middle
-    and its motion are of neither.
-    """
-    jump = (1 - shared) * np.maximum(detection.box[2:], box[2:]) / 2
-    R = detection.R.copy()
-    R[om.BEARING, om.BEARING] += np.diag((jump / view.focal)**2)
-    R[om.RATE, om.RATE] /= max(shared, association.MIN_OVERLAP)**2
-    return replace(detection, R=R)
 
 
 def _correlated(R, dt, settings):
