@@ -401,8 +401,6 @@ RULES = (
     Rule('units', 'obstacles follow the map where it becomes metric',
          {OBSTACLES + 'units:has_changed': NO}),
     Rule('merging tracks', 'tracks of one vehicle become one', {TRACKER + '_merge': NOTHING}),
-    Rule('absorbing parts', 'a detection on an obstacle just seen is a part of it',
-         {TRACKER + '_absorb': gives(lambda self, free, stamp: free)}),
     Rule('expected places', 'two obstacles are not joined into one',
          {OBSTACLES + 'association:_as_expected': YES}),
     Rule('false starts', 'the more tracks fail the surer the next must be',

@@ -96,7 +96,6 @@ class ObstacleTracker:
             lambda group: self._may_be_one(group, extraction))]
         free = self._continue(found, owners, extraction)
         self._search(extraction)
-        free = self._absorb(free, extraction.stamp)
         self._begin(free, extraction)
         self._merge()
         self._take(handovers, extraction)
@@ -179,12 +178,6 @@ class ObstacleTracker:
                     track.x, track.block = tiles(box)
                     track.update(replace(item, id=track.plane_id), extraction, self._view,
                                  self._settings)
-
-    def _absorb(self, free, stamp):
-        """Drop detections that lie on an obstacle just seen: parts of it, not a second one."""
-        seen = [track for track in self._tracks if track.last_seen == stamp]
-        return [item for item in free
-                if not any(association.overlap(track.x, item.x) > 0.3 for track in seen)]
 
     def _merge(self):
         """Let the tracks of one vehicle become one, under the id that is known longest."""
