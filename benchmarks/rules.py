@@ -407,8 +407,6 @@ RULES = (
          {TRACKER + '_count': NOTHING}),
     Rule('alone', 'a lasting score tells of a body where no other obstacle is near',
          {TRACKER + '_is_alone': NO}),
-    Rule('dissolving', 'a confirmed obstacle that is no body any more ends',
-         {OBSTACLES + 'lifecycle:dissolves': NO}),
     Rule('may drive', 'an obstacle stands on the ground and is no building',
          {TRACKER + '_may_drive': YES}),
     Rule('unrest', 'a steady obstacle has little acceleration',

@@ -90,16 +90,6 @@ def _favour(nis, overlap):
     return moves + OVERLAP_GAIN * (max(overlap, LEAST_OVERLAP) - EVEN_OVERLAP)
 
 
-def dissolves(evidence: Sequence[Evidence], unit: float, settings: ObstacleSettings) -> bool:
-    """Return whether a confirmed obstacle's detections are no body any more.
-
-    Nothing is left of what spoke for one, and what is found there hardly moves: road whose wrong
-    vectors took over the place of a vehicle. ``unit`` is what to take for 1 m/s [map unit/s].
-    """
-    return (evidence[-1].dof > 0 and evidence[-1].speed < settings.still_speed * unit
-            and one_body(evidence) == 0)
-
-
 def stands_still(evidence: Sequence[Evidence], unit: float, settings: ObstacleSettings) -> bool:
     """Return whether an obstacle's velocity has been statistically zero for long enough.
 

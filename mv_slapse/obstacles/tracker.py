@@ -216,13 +216,9 @@ class ObstacleTracker:
         """Confirm, hand over and expire tracks; return what is left and what is handed over."""
         given = []
         for track in self._tracks:
-            if track.confirmed:
-                track.confirmed = not lifecycle.dissolves(
-                    track.evidence, self._view.speed_unit, self._settings)
-            else:
-                track.confirmed = self._may_drive(track) and lifecycle.confirms(
-                    track.evidence, self._view.is_metric, self._settings, self._false_starts,
-                    self._is_alone(track))
+            track.confirmed = track.confirmed or self._may_drive(track) and lifecycle.confirms(
+                track.evidence, self._view.is_metric, self._settings, self._false_starts,
+                self._is_alone(track))
             if (track.confirmed and track.plane_id != tracks.NO_PLANE
                     and self._has_stopped(track, extraction)):
                 given.append(track)

@@ -101,15 +101,6 @@ def test_what_two_pairs_of_a_fast_stream_show_may_suffice():
     assert not lifecycle.confirms(evidence([10, 10], nis=0.5), True, SETTINGS)
 
 
-@pytest.mark.parametrize(('case', 'ends'), [
-    (evidence([50] * 4, nis=60, overlap=0.4, speed=0.5), True),
-    (evidence([50] * 4, nis=60, overlap=0.4), False),
-    (evidence([50] * 4, speed=0.5), False),
-    (evidence([50], speed=0.5), False)], ids=['road', 'fast', 'one body', 'new'])
-def test_an_obstacle_dissolves_where_its_detections_are_no_body_and_rest(case, ends):
-    assert lifecycle.dissolves(case, 1.0, SETTINGS) == ends
-
-
 def test_half_a_second_at_rest_is_a_standstill():
     assert lifecycle.stands_still(evidence([50, 50] + [2] * 6, speed=0.3), 1.0, SETTINGS)
 
