@@ -374,7 +374,7 @@ RULES = (
     Rule('wandering height', 'a height that wanders has a lasting error',
          {SCENE + 'noise:HeightWander.seen': ITSELF}),
     Rule('still surroundings', 'a block on no plane counts where most around it is still and no '
-         'mover beside it', {SCENE + 'input:stationary': gives(_all_still)}),
+         'mover beside it', {SCENE + 'update:stationary': gives(_all_still)}),
     Rule('patience', 'a plane must contradict the map for a while',
          {SCENE + 'gating:PATIENCE': value(0)}),
     Rule('walls out of view', 'well seen walls stay in the filter',

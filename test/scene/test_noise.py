@@ -8,8 +8,8 @@ import made_up
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import Label, PlaneObservation
-from mv_slapse.scene import input as scene_input
 from mv_slapse.scene import state as scene_state
+from mv_slapse.scene import update as scene_update
 from mv_slapse.scene.filter import SceneFilter
 from mv_slapse.scene.noise import Dependence, HeightWander, measured
 import numpy as np
@@ -101,7 +101,7 @@ def test_vectors_around_movers_lean_so_that_a_turn_adds_up(share):
         estimate = filter_.step(replace(
             seen, label=np.where(rows, Label.MOVING, seen.label).astype(np.int8),
             plane_id=np.where(rows, -1, seen.plane_id).astype(np.int32)))[0]
-    rolling = METRIC.mover_bias * share * scene_input.stationary(seen)[0].roll_arm
+    rolling = METRIC.mover_bias * share * scene_update.stationary(seen)[0].roll_arm
     leaning = n * np.hypot(METRIC.vector_bias, rolling) / seen.K[0, 0]
     assert leaning < np.sqrt(estimate.pose_covariance[5, 5]) < leaning + 0.004
 
