@@ -358,7 +358,7 @@ RULES = (
          {SCENE + 'scale.ratio:holds': gives(lambda state, log, sigma:
                                              bool(np.isfinite(sigma)))}),
     Rule('ride', 'the height of a camera that keeps to the ground stays, known or not',
-         {SCENE + 'scale.ride:Ride._judged': ITSELF}),
+         {SCENE + 'scale.ride:Ride.seen': ITSELF}),
     Rule('first baseline after a rest', 'a plane or the height tells it',
          {SCENE + 'scale.rest:first_baseline': ZERO}),
     Rule('supposed baseline', 'before any ground is seen most of what is low is ground',
@@ -371,8 +371,6 @@ RULES = (
          {SCENE + 'noise:Agreement.seen': ITSELF}),
     Rule('dependence', 'how far neighbouring vectors err together is measured',
          {SCENE + 'noise:Dependence.seen': ITSELF}),
-    Rule('wandering height', 'a height that wanders has a lasting error',
-         {SCENE + 'noise:HeightWander.seen': ITSELF}),
     Rule('still surroundings', 'a block on no plane counts where most around it is still and no '
          'mover beside it', {SCENE + 'update:stationary': gives(_all_still)}),
     Rule('patience', 'a plane must contradict the map for a while',

@@ -288,8 +288,8 @@ class SceneFilter:
             self._progress.going = self._progress.interval
         # Not the speed now: what comes to rest could hardly start again, the scale would shrink.
         self._progress.fastest = max(norm(self._state.velocity), self._progress.fastest)
-        if not self._is_unscaled:
-            self._ride = self._ride.seen(self._state, extraction, ground, settings)
+        if ground is not None and not settings.camera_height:
+            self._ride = self._ride.seen(self._state, ground)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
         if first or known or (ratio or way) and not self.distances:
