@@ -401,8 +401,6 @@ RULES = (
     Rule('merging tracks', 'tracks of one vehicle become one', {TRACKER + '_merge': NOTHING}),
     Rule('expected places', 'two obstacles are not joined into one',
          {OBSTACLES + 'association:_as_expected': YES}),
-    Rule('false starts', 'the more tracks fail the surer the next must be',
-         {TRACKER + '_count': NOTHING}),
     Rule('alone', 'a lasting score tells of a body where no other obstacle is near',
          {TRACKER + '_is_alone': NO}),
     Rule('may drive', 'an obstacle stands on the ground and is no building',

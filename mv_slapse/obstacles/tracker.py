@@ -37,7 +37,6 @@ from mv_slapse.records import (
 import numpy as np
 
 OWN_IDS = 1_000_000  # ids from here on are given where a plane's id is another track's already
-STARTS_MEMORY = 5.0  # [s] over which tracks that come to nothing are counted
 SAME_DEPTH = 2.0  # times an obstacle's depth, or a share of it, that still is where it was
 TENTATIVE_LIFETIME = 0.25  # [s] a track that is not yet confirmed may go without evidence
 
@@ -54,7 +53,6 @@ class ObstacleTracker:
         self._view: View | None = None
         self._used: set[int] = set()
         self._next_id = OWN_IDS
-        self._false_starts = 0.0
 
     @one_thread
     def step(self, extraction: Extraction, scene: SceneEstimate,
@@ -108,7 +106,6 @@ class ObstacleTracker:
     def _forget(self):
         """Begin anew, with ids that were not given yet."""
         self._tracks, self._waiting, self._scene, self._view = [], {}, None, None
-        self._false_starts = 0.0
 
     def _change_unit(self, scene):
         """Take all along into the unit of a map that becomes metric; forget what cannot come."""
@@ -217,23 +214,15 @@ class ObstacleTracker:
         given = []
         for track in self._tracks:
             track.confirmed = track.confirmed or self._may_drive(track) and lifecycle.confirms(
-                track.evidence, self._view.is_metric, self._settings, self._false_starts,
-                self._is_alone(track))
+                track.evidence, self._view.is_metric, self._settings, self._is_alone(track))
             if (track.confirmed and track.plane_id != tracks.NO_PLANE
                     and self._has_stopped(track, extraction)):
                 given.append(track)
         handed = [track.handover(extraction.stamp, self._view) for track in given]
-        ended = [track for track in self._tracks if self._expired(track, extraction.stamp)]
-        self._count(sum(not track.confirmed for track in ended))
-        self._tracks = [track for track in self._tracks
-                        if track not in given and track not in ended]
+        self._tracks = [track for track in self._tracks if track not in given
+                        and not self._expired(track, extraction.stamp)]
         self._used |= {track.id for track in self._tracks}
         return self._obstacles(extraction.stamp), handed
-
-    def _count(self, failed):
-        """Keep the rate of tracks that come to nothing [1/s]."""
-        share = min(self._view.dt / STARTS_MEMORY, 1.0)
-        self._false_starts += share * (failed / self._view.dt - self._false_starts)
 
     def _may_drive(self, track):
         """Tell whether an obstacle touches the ground, where there is one, and is no building."""

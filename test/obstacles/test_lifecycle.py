@@ -81,12 +81,6 @@ def test_what_two_short_pairs_show_counts_as_one_of_their_time():
     assert lifecycle.one_body(short) == pytest.approx(lifecycle.one_body(evidence([50] * 2)))
 
 
-def test_where_tracks_come_to_nothing_more_is_asked_for():
-    for false_starts, n in ((0.0, 2), (0.7, 2), (4.0, 3), (200.0, 4)):
-        assert lifecycle.confirms(evidence([50] * n), True, SETTINGS, false_starts)
-        assert not lifecycle.confirms(evidence([50] * (n - 1)), True, SETTINGS, false_starts)
-
-
 def test_unknown_scale_has_no_least_speed():
     assert lifecycle.confirms(evidence([50] * 4, speed=0.1), False, SETTINGS)
 

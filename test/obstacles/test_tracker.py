@@ -126,25 +126,14 @@ def test_a_car_that_stops_is_handed_over_within_a_second(rng):
 
 
 def questions(monkeypatch):
-    """Return where the rate of false starts and `alone` go with which tracks are judged."""
+    """Return where `alone` goes with which tracks are judged."""
     asked, confirms = [], obstacles_module.lifecycle.confirms
 
-    def noted(evidence, is_metric, settings, false_starts, alone):
-        asked.append((false_starts, alone))
-        return confirms(evidence, is_metric, settings, false_starts, alone)
+    def noted(evidence, is_metric, settings, alone):
+        asked.append(alone)
+        return confirms(evidence, is_metric, settings, alone)
     monkeypatch.setattr(obstacles_module.lifecycle, 'confirms', noted)
     return asked
-
-
-def test_tracks_that_come_to_nothing_are_counted(rng, monkeypatch):
-    asked, tracker = questions(monkeypatch), ObstacleTracker(SETTINGS)
-    for i in range(60):
-        drive = Drive((Mover(i + 1, (3.0 * (-1)**i, rng.uniform(8.0, 30.0)), (0, 10)),))
-        tracker.step(drive.extraction(i * DT, (i + 1) * DT, rng),
-                     drive.scene(i * DT, (i + 1) * DT, rng))
-    rates = [false_starts for false_starts, _ in asked]
-    assert rates[0] == 0
-    assert obstacles_module.lifecycle.USUAL_STARTS < rates[-1] < 1 / DT
 
 
 def test_a_parked_car_that_starts_is_confirmed_within_a_second(rng):
@@ -374,6 +363,5 @@ def test_what_lies_before_or_behind_an_obstacle_is_not_alone(rng, monkeypatch):
     asked = questions(monkeypatch)
     behind = Mover(2, (0.9, 32), (2, 9))  # comes out at the side when it is first seen
     run(Drive((*CASES['slower'].movers, behind), hidden={2: lambda now: now < 1.0}), rng)
-    alone = [alone for _, alone in asked]
-    assert alone[0]
-    assert not all(alone)
+    assert asked[0]
+    assert not all(asked)
