@@ -4,7 +4,8 @@ from dataclasses import replace
 from typing import Any
 
 from mv_slapse.geometry import ros_frames
-from mv_slapse.geometry.ros_frames import Pose, RosFrames, skew
+from mv_slapse.geometry.ros_frames import Pose, RosFrames
+from mv_slapse.geometry.rotation import skew
 from mv_slapse.records import MapPlane, Obstacle, PlaneHandover, SceneEstimate
 import numpy as np
 

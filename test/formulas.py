@@ -7,14 +7,12 @@ import cv2
 from mv_slapse.codec.merging import existence
 from mv_slapse.codec.prediction import kernel_frame
 from mv_slapse.geometry.camera import Camera, to_rays
-from mv_slapse.geometry.epipolar import derotate
 from mv_slapse.geometry.rotation import skew
 from mv_slapse.geometry.two_view import columns
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.movers.moving_plane import (
     fit_surfaces,
     MIN_BLOCKS,
-    MovingPlane,
     Regions,
     settled,
     View,
@@ -30,6 +28,12 @@ def fundamental(K, R_cur_from_prev, t_cur_from_prev) -> np.ndarray:
     """Return F (3, 3) with x_cur^T F x_prev = 0, (4) of [MVO]."""
     K_inv = np.linalg.inv(K)
     return K_inv.T @ skew(t_cur_from_prev) @ R_cur_from_prev @ K_inv
+
+
+def derotate(rays_prev, R_cur_from_prev) -> np.ndarray:
+    """Rays x'_prev ~ R x_prev (N, 3) as the current camera would see them untranslated, (6)."""
+    y = rays_prev @ R_cur_from_prev.T
+    return y / y[:, 2:]
 
 
 def epipolar_error(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
@@ -191,7 +195,7 @@ def behind(pair, R, t) -> float:
 
 
 def fit_moving_plane(x_cur, x_prev, sigma, block, K, R_cur_from_prev, t_cur_from_prev,
-                     ground=None) -> MovingPlane | None:
+                     ground=None) -> SimpleNamespace | None:
     """Estimate the plane and the displacement of a moving region, (12) of [MVO].
 
     Parameters
@@ -210,8 +214,10 @@ def fit_moving_plane(x_cur, x_prev, sigma, block, K, R_cur_from_prev, t_cur_from
 
     Returns
     -------
-    moving : MovingPlane or None
-        None where fewer than 4 vectors, or less than half of them, agree on a motion.
+    moving : MovingPlane's columns or None
+        With the ``centre`` and the ``inlier`` of the region's Surfaces, and ``closing``, the share
+        of its depth that the surface lost during the pair, with its variance. None where fewer
+        than 4 vectors, or less than half of them, agree on a motion.
     """
     if len(x_cur) < MIN_BLOCKS:
         return None
@@ -221,7 +227,10 @@ def fit_moving_plane(x_cur, x_prev, sigma, block, K, R_cur_from_prev, t_cur_from
     fit = fit_surfaces(Regions(x_cur, x_prev, sigma, np.zeros(1, int)), view, ground)
     blocks = SimpleNamespace(x=x_cur, block=np.asarray(block, float), first=np.zeros(1, int),
                              members=np.arange(len(x_cur)))
-    return settled(fit, blocks, 0, view, ground)
+    found = settled(fit, blocks, 0, view, ground)
+    return found and SimpleNamespace(
+        **found._asdict(), centre=fit.centre[0], inlier=fit.inlier, closing=-fit.theta[0, 2],
+        closing_variance=fit.covariance[0, 2, 2])
 
 
 def leaning(frame) -> np.ndarray:

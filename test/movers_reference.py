@@ -3,9 +3,10 @@
 from types import SimpleNamespace
 
 import formulas
-from mv_slapse.geometry import blocks, epipolar, moving_plane
+from mv_slapse.geometry import blocks, epipolar
 from mv_slapse.geometry.blocks import grid_index, grid_shape
 from mv_slapse.geometry.camera import to_pixels, to_rays
+from mv_slapse.geometry.moving_plane import homography
 import numpy as np
 import obstacles_reference
 from scipy import ndimage
@@ -13,7 +14,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-RATE, SLOPE = moving_plane.RATE, moving_plane.SLOPE
+from benchmarks.papers import moving_plane
+from benchmarks.papers.moving_plane import RATE, SLOPE
 
 
 def split(members, first):
@@ -26,7 +28,7 @@ def per_region(values, first):
     return np.add.reduceat(values, first)
 
 
-def moving_regions(pair, view, ground, nearer, free_growth, rules):
+def moving_regions(pair, view, ground, nearer, rules):
     """Return what the kernel of that name does."""
     rays, before = to_rays(view.K, pair.x), to_rays(view.K, pair.x_prev)
     focal, n = np.diag(view.K)[:2], len(pair.x)
@@ -43,7 +45,7 @@ def moving_regions(pair, view, ground, nearer, free_growth, rules):
     field = SimpleNamespace(
         m=m, length=length, ground_like=ground_like, far=far,
         below=rho + 2 * noise < rules.below_ground * under, growth=nearing / (1 + nearing))
-    a, b = alike(pair, field, free_growth, rules)
+    a, b = alike(pair, field, rules)
     usable = ~ground_like | bridges(pair.x, ground_like, a, b, rules)
     joined, index = usable[a] & usable[b], np.flatnonzero(usable & ~far)
     graph = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), shape=(n, n))
@@ -67,25 +69,18 @@ def copied(pair, rules):
     return found
 
 
-def alike(pair, field, free_growth, rules):
+def alike(pair, field, rules):
     """Return the two blocks (P,), (P,) of each pair of neighbours whose vectors are alike."""
     x, m, n = pair.x, field.m, len(pair.x)
     a, b = cKDTree(x).query_pairs(rules.reach, output_type='ndarray').T
     longer = np.maximum(field.length[a], field.length[b])
     slack = np.clip(rules.alike_short * np.median(field.length), 0.5, 1.0) * rules.alike
     by, (growth, more) = x[a] - x[b], (field.growth[at] for at in (a, b))
-    shares = [np.where(np.abs(growth) < np.abs(more), growth, more)]
-    if free_growth:
-        moves = field.length > rules.resting
-        stretch, size = (sum(np.bincount(at, (moves[a] & moves[b]) * np.sum(values * by, axis=1),
-                                         n) for at in (a, b)) for values in (m[a] - m[b], by))
-        own = stretch / np.maximum(size, 1.0)
-        own *= np.abs(own) <= free_growth
-        shares += [own[a], own[b]]
-    apart, *left = (np.linalg.norm(m[a] - m[b] - share[:, None] * by, axis=1)
-                    for share in (np.zeros(len(a)), *shares))
+    share = np.where(np.abs(growth) < np.abs(more), growth, more)
+    apart, left = (np.linalg.norm(m[a] - m[b] - by_depth[:, None] * by, axis=1)
+                   for by_depth in (np.zeros(len(a)), share))
     same = ((apart < slack + rules.alike_share * longer)
-            | (np.min(left, axis=0) < slack + rules.alike_grown * longer))
+            | (left < slack + rules.alike_grown * longer))
     same &= (pair.plane_id[a] == pair.plane_id[b]) & ~field.far[a] & ~field.far[b]
     same &= field.below[a] == field.below[b]
     a, b = a[same], b[same]
@@ -115,7 +110,7 @@ def fit_one(x, x_prev, sigma, view, down, rules):
 
     rays = to_rays(view.K, x)
     centre = np.array([0.5 * (rank(v, 0.05) + rank(v, 0.95)) for v in rays[:, :2].T])
-    parallax = rays[:, :2] - epipolar.derotate(to_rays(view.K, x_prev), view.R)[:, :2]
+    parallax = rays[:, :2] - formulas.derotate(to_rays(view.K, x_prev), view.R)[:, :2]
     theta = np.r_[[rank(v, 0.5) for v in parallax.T], np.zeros(3)]
     rows = np.array([[1 / rules.yaw_sigma, 0],
                      (down[:2] - down[2] * centre) / rules.upright_sigma])
@@ -216,7 +211,7 @@ def grown(pair, regions, moving, products, view, rules):
         low, high = x.min(axis=0) - rules.macroblock, x.max(axis=0) + rules.macroblock
         low[1] -= 0.5 * (high[1] - low[1])
         near = np.flatnonzero(free & np.all((pair.x >= low) & (pair.x <= high), axis=1))
-        H = moving_plane.homography(product, view.K, view.R)
+        H = homography(product, view.K, view.R)
         before = to_pixels(H, np.c_[pair.x[near], np.ones(len(near))])
         error = np.linalg.norm(before - pair.x_prev[near], axis=1)
         length = np.linalg.norm(regions.parallax[near], axis=1)
@@ -388,5 +383,5 @@ def settled(fit, alike, i, view, ground, rules):
     covariance = by_theta @ np.pad(fit.covariance[i], (0, 1)) @ by_theta.T
     covariance[5, 5] += variance
     state, jacobian = moving_plane.to_plane(np.r_[theta, log_depth], centre, view.t)
-    return (state[:3], state[3:], jacobian @ covariance @ jacobian.T,
-            moving_plane.product(theta, centre), found is not None, covariance[2, 2])
+    return (state[:3], jacobian @ covariance @ jacobian.T, state[3:],
+            moving_plane.product(theta, centre), found is not None)

@@ -1,6 +1,6 @@
 """Formulas of obstacles in numpy, for the comparison with their kernels."""
 
-from mv_slapse.geometry import epipolar, moving_plane
+from formulas import derotate
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.obstacles import detection as rules
@@ -16,6 +16,8 @@ from mv_slapse.obstacles.motion_model import (
 )
 import numpy as np
 from scipy.ndimage import label as components
+
+from benchmarks.papers import moving_plane
 
 
 def predict(mu, step, after, after_covariance, acceleration):
@@ -274,7 +276,7 @@ def blurred(z, R, box, bias, view):
     """Return a covariance with what all vectors have in common."""
     x, y = z[BEARING]
     focal, ray = np.diag(view.K)[:2], np.array([[x, y, 1.0]])
-    turned = rules.TURN_SHARE * (epipolar.derotate(ray, view.R_cur_from_prev.T) - ray)[0, :2]
+    turned = rules.TURN_SHARE * (derotate(ray, view.R_cur_from_prev.T) - ray)[0, :2]
     error = np.hypot(bias, np.linalg.norm(focal * turned))
     growth = error / max(0.5 * np.min(box[2:]), MACROBLOCK / 2)
     turn = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x], [0.0, 0.0, 0.0]])

@@ -8,14 +8,16 @@ smallest motion; the filter is told what (12) and this are worth.
 
 from typing import NamedTuple
 
-from mv_slapse.geometry import moving_plane, plane
+from mv_slapse.geometry import plane
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_rays, UP
-from mv_slapse.geometry.moving_plane import LOG_DEPTH, RATE, SLOPE
+from mv_slapse.geometry.moving_plane import homography
 import numpy as np
 from scipy.optimize import least_squares
 
+from papers import moving_plane
 from papers.filters import Kalman
+from papers.moving_plane import LOG_DEPTH, RATE, SLOPE
 from papers.two_views import View
 
 LEVEL = 0.95  # cosine of a road's normal against the vertical of a camera that looks ahead
@@ -43,7 +45,7 @@ def observed(view: View, R: np.ndarray, t: np.ndarray, road: np.ndarray | None,
         len(view.x_cur))]
 
     def errors(theta):
-        H = moving_plane.homography(moving_plane.product(theta, centre), view.K, R)
+        H = homography(moving_plane.product(theta, centre), view.K, R)
         there = at @ H.T
         return np.r_[(there[:, :2] / there[:, 2:] - view.x_prev).ravel(),
                      sigma / tilt * theta[SLOPE]]

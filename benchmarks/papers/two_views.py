@@ -11,7 +11,6 @@ from typing import NamedTuple
 import cv2
 from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import to_pixels, to_rays
-from mv_slapse.geometry.epipolar import derotate
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -121,7 +120,7 @@ def refined(view: View, R: np.ndarray, t: np.ndarray):
 
 def without_rotation(view: View, R: np.ndarray) -> np.ndarray:
     """Return x'_prev (N, 2) [px], (6) of [MVO], (12) of [SLAPSE]."""
-    return to_pixels(view.K, derotate(to_rays(view.K, view.x_prev), R))
+    return to_pixels(view.K, to_rays(view.K, view.x_prev) @ R.T)
 
 
 def at_infinity(view: View, R: np.ndarray, threshold: float) -> np.ndarray:

@@ -328,8 +328,7 @@ class PlaneExtractor:
         memory = self._memory
         # What flies has no way on the ground.
         turn = rotation.angle(fit.R_cur_from_prev) if memory.ground.mount.rides else 0.0
-        ride = Ride(ground.course_of(fit.t_cur_from_prev), turn,
-                    memory.is_comparable(whole, ratio), self._settings.epsilon_h)
+        ride = Ride(ground.course_of(fit.t_cur_from_prev), turn, self._settings.epsilon_h)
         belief, prior, road = ground.survey(
             evidence, whole.x_cur, lone, self._ground_prior(whole, fit, ratio),
             memory.height.moved(*memory.log_ratio(whole, ratio)), ride)

@@ -63,11 +63,3 @@ class Memory:
             return 0.0
         return float(np.log((blank.stamp - blank.previous_stamp)
                             / (self.stamp - self.previous_stamp)))
-
-    def is_comparable(self, blank: Extraction, ratio: BaselineRatio) -> bool:
-        """Tell whether a pair's depths agree with the last one's, as far as there was one.
-
-        If not its vectors may mean other pictures, all of them alike.
-        """
-        return (self.previous_stamp is None or self.stamp != blank.previous_stamp
-                or bool(np.isfinite(ratio.sigma)))

@@ -1,4 +1,4 @@
-"""Two views of stationary points: epipolar error, derotation, inverse depth.
+"""Two views of stationary points: their inverse depth.
 
 Motion as in [MVO]: X_cur = R X_prev + t, so x_cur^T F x_prev = 0 with F = K^-T [t]x R K^-1, (4).
 Rays are K^-1 x with last coordinate 1. Inverse depths are in units of 1/|t|.
@@ -6,16 +6,6 @@ Rays are K^-1 x with last coordinate 1. Inverse depths are in units of 1/|t|.
 
 from mv_slapse.kernels.binding import compiled
 import numpy as np
-
-
-def _contiguous(array) -> np.ndarray:
-    return np.ascontiguousarray(array, float)
-
-
-def derotate(rays_prev: np.ndarray, R_cur_from_prev: np.ndarray) -> np.ndarray:
-    """Rays x'_prev ~ R x_prev (N, 3) as the current camera would see them untranslated, (6)."""
-    y = rays_prev @ R_cur_from_prev.T
-    return y / y[:, 2:]
 
 
 def inverse_depth(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
@@ -26,5 +16,5 @@ def inverse_depth(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
     [1/|t|] (negative: behind the camera or moving), and |d rho / d x_prev| along the line (N,)
     [1/|t|/px].
     """
-    return compiled.inverse_depth(*map(_contiguous, (
+    return compiled.inverse_depth(*(np.ascontiguousarray(array, float) for array in (
         rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev)))

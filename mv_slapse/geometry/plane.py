@@ -11,11 +11,6 @@ WELL_SEEN = 5  # key frames that show a plane which is worth keeping
 MOST_KEPT = 30  # planes that are kept beside those in view: time grows with them
 
 
-def from_normal_depth(normal: np.ndarray, depth: float) -> np.ndarray:
-    """Return the inhomogeneous form of the plane ``normal @ X + depth == 0``."""
-    return normal / depth
-
-
 def transform(plane_a: np.ndarray, R_b_from_a: np.ndarray, t_b_from_a: np.ndarray) -> np.ndarray:
     """Express a plane of frame a in frame b, where ``X_b = R_b_from_a @ X_a + t_b_from_a``."""
     rotated = R_b_from_a @ plane_a

@@ -13,6 +13,7 @@ Every conversion has its inverse, and carries covariances by its Jacobian.
 
 from dataclasses import dataclass, field
 
+from mv_slapse.geometry.rotation import skew
 import numpy as np
 
 R_BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -71,11 +72,6 @@ class Twist:
     linear: np.ndarray
     angular: np.ndarray
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
-
-
-def skew(v: np.ndarray) -> np.ndarray:
-    """Return the matrix (3, 3) of the cross product, skew(v) @ w == cross(v, w)."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def pose_to_odom(world_from_cam: Pose, frames: RosFrames) -> Pose:

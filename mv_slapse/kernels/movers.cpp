@@ -191,40 +191,12 @@ std::vector<Pair> neighbours(const Blocks& blocks, double reach) {
   return pairs;
 }
 
-// The growth of the parallax about each block, by its neighbours that move: what parts from what
-// is beside it stretches in one direction only.
-std::vector<double> own_growth(const Blocks& blocks, const std::vector<Pair>& pairs,
-                               Field& field, double most, double resting) {
-  std::vector<double> stretch(blocks.n), size(blocks.n);
-  for (const auto& [a, b] : pairs) {
-    if (!(field.length[a] > resting && field.length[b] > resting)) continue;
-    double stretched = 0, apart = 0;
-    for (int k = 0; k < 2; ++k) {
-      const double by = blocks.x(a, k) - blocks.x(b, k);
-      stretched += (field.parallax(a, k) - field.parallax(b, k)) * by;
-      apart += by * by;
-    }
-    for (const auto i : {a, b}) {
-      stretch[i] += stretched;
-      size[i] += apart;
-    }
-  }
-  for (py::ssize_t i = 0; i < blocks.n; ++i) {
-    stretch[i] /= std::max(size[i], 1.0);
-    if (std::abs(stretch[i]) > most) stretch[i] = 0;
-  }
-  return stretch;
-}
-
 // Pairs of neighbours whose vectors are alike, as far as they grow with what comes near.
-std::vector<Pair> alike(const Blocks& blocks, Field& field, double free_growth,
-                        const RegionRules& rules) {
+std::vector<Pair> alike(const Blocks& blocks, Field& field, const RegionRules& rules) {
   auto pairs = neighbours(blocks, rules.reach);
   // Where all vectors are short a pixel would join the whole scene.
   const double slack =
       rules.alike * std::min(std::max(rules.alike_short * median(field.length), 0.5), 1.0);
-  std::vector<double> own;
-  if (free_growth > 0) own = own_growth(blocks, pairs, field, free_growth, rules.resting);
   const auto differs = [&](const Pair& pair) {
     const auto [a, b] = pair;
     // A car before a facade may move as it does for a while: what is a plane stays by itself. A
@@ -244,8 +216,7 @@ std::vector<Pair> alike(const Blocks& blocks, Field& field, double free_growth,
     const double grown = slack + rules.alike_grown * longer;
     const double growth = std::abs(field.growth[a]) < std::abs(field.growth[b]) ? field.growth[a]
                                                                                 : field.growth[b];
-    if (left(growth) < grown) return false;
-    return own.empty() || (left(own[a]) >= grown && left(own[b]) >= grown);
+    return left(growth) >= grown;
   };
   pairs.erase(std::remove_if(pairs.begin(), pairs.end(), differs), pairs.end());
   // What has left where it stood is no part of what stands there, behind it or above it.
@@ -323,8 +294,7 @@ py::tuple connected(const Blocks& blocks, Field& field, const std::vector<Pair>&
 }
 
 py::tuple moving_regions(const py::object& blocks_, const py::object& view_,
-                         const py::object& ground, double nearer, double free_growth,
-                         const py::object& constants) {
+                         const py::object& ground, double nearer, const py::object& constants) {
   constexpr auto kernel = "moving_regions";
   const Blocks blocks(kernel, blocks_);
   const View view(kernel, view_);
@@ -332,7 +302,7 @@ py::tuple moving_regions(const py::object& blocks_, const py::object& view_,
   Field field(blocks.n);
   judge_singly(blocks, view, vector(kernel, "ground", ground), nearer, rules, field);
   mark_copied(blocks, rules, field);
-  const auto pairs = alike(blocks, field, free_growth, rules);
+  const auto pairs = alike(blocks, field, rules);
   const auto usable = usable_blocks(blocks, field, pairs, rules);
   const auto parts = connected(blocks, field, pairs, usable, rules);
   return py::make_tuple(field.parallax.array(), field.rho.array(), field.noise.array(),

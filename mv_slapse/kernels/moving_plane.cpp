@@ -38,9 +38,9 @@ void transformed(const double (&J)[N][N], const double (&P)[N][N], double* out) 
 }
 
 // Region i of a fit of `fit_moving_surfaces`; blocks: x, block (N, 2), the members of one region
-// after the other (M,), where each begins (R,) -> plane (3,), t_d (3,), their covariance (6, 6),
-// (t - t_d) plane^T (3, 3), whether the ground settled the gauge, the variance of the closing, or
-// None where too few vectors agree
+// after the other (M,), where each begins (R,) -> plane (3,), covariance (6, 6) of it and t_d, t_d
+// (3,), (t - t_d) plane^T (3, 3), whether the ground settled the gauge, or None where too few
+// vectors agree
 py::object settle_surface(const py::tuple& fit, const py::tuple& blocks, std::int64_t i,
                           const py::object& camera, const py::object& ground_,
                           const py::object& constants) {
@@ -113,8 +113,8 @@ py::object settle_surface(const py::tuple& fit, const py::tuple& blocks, std::in
     J[2][SLOPE + k] = centre[k] / depth;
   }
   transformed(J, P, covariance.data());
-  return py::make_tuple(plane.array(), t_d.array(), covariance.array(), product.array(),
-                        gauge.contact, P[2][2]);
+  return py::make_tuple(plane.array(), covariance.array(), t_d.array(), product.array(),
+                        gauge.contact);
 }
 
 }  // namespace

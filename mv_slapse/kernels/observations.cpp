@@ -15,10 +15,10 @@ struct Bounds {
 
 struct Columns {  // of all blocks; see BlockObservations
   explicit Columns(py::ssize_t n)
-      : error({n}), rho({n}), sigma_rho({n}), blur({n}), far_sigma({n}), parallax({n}),
-        flow({n, 2}), inlier({n}), at_infinity({n}), backward({n}), has_depth({n}) {}
+      : error({n}), rho({n}), sigma_rho({n}), blur({n}), parallax({n}), inlier({n}),
+        at_infinity({n}), backward({n}), has_depth({n}) {}
 
-  Out<double> error, rho, sigma_rho, blur, far_sigma, parallax, flow;
+  Out<double> error, rho, sigma_rho, blur, parallax;
   Out<bool> inlier, at_infinity, backward, has_depth;
 };
 
@@ -58,23 +58,17 @@ void judge(const Blocks& blocks, const TwoView& view, const Bounds& bounds, Colu
     const Four rho = (flow_x * gx + flow_y * gy) / square, ahead = 1.0 - rho * t[2];
     const Four blur = (ahead < 0.0 ? -ahead : ahead) / root(square) * sigma;
     const Four rough = bounds.relief * rho;
-    // Parallax of points at distance 1 from camera k-1: free of the noise of the match.
-    const Four rx = (t[0] - x * t[2]) * fx, ry = (t[1] - y * t[2]) * fy;
-    const Four reach = at_least(root(rx * rx + ry * ry), 1e-9);
-    const Four columns[7] = {rho, root(blur * blur + rough * rough), blur, sigma / reach,
-                             root(flow_x * flow_x + flow_y * flow_y), flow_x, flow_y};
+    const Four columns[4] = {rho, root(blur * blur + rough * rough), blur,
+                             root(flow_x * flow_x + flow_y * flow_y)};
     for (std::size_t j = 0; j < std::min(LANES, blocks.count - i); ++j) {
       const auto at = static_cast<py::ssize_t>(i + j);
       const bool inlier = std::abs(error[at]) < bounds.epsilon_f;
-      const bool near = columns[4][j] >= bounds.epsilon_m;
+      const bool near = columns[3][j] >= bounds.epsilon_m;
       out.error[at] = error[at];
       out.rho[at] = columns[0][j];
       out.sigma_rho[at] = columns[1][j];
       out.blur[at] = columns[2][j];
-      out.far_sigma[at] = columns[3][j];
-      out.parallax[at] = columns[4][j];
-      out.flow(at, 0) = columns[5][j];
-      out.flow(at, 1) = columns[6][j];
+      out.parallax[at] = columns[3][j];
       out.inlier[at] = inlier;
       out.at_infinity[at] = inlier && !near;
       out.backward[at] = inlier && near && out.rho[at] < -3 * out.blur[at];
@@ -99,9 +93,8 @@ void bind_observations(kernels::py::module_& module) {
     Columns out(static_cast<py::ssize_t>(blocks.count));
     judge(blocks, two_view(kernel, R, t, focal), {of[0], of[1], of[2]}, out);
     return py::make_tuple(out.error.array(), out.rho.array(), out.sigma_rho.array(),
-                          out.blur.array(), out.far_sigma.array(), out.parallax.array(),
-                          out.flow.array(), out.inlier.array(), out.at_infinity.array(),
-                          out.backward.array(), out.has_depth.array());
+                          out.blur.array(), out.parallax.array(), out.inlier.array(),
+                          out.at_infinity.array(), out.backward.array(), out.has_depth.array());
   });
   // Of rays of any length -> error (N,) [px]
   module.def("epipolar_error", [](const py::object& rays_cur, const py::object& rays_prev,

@@ -23,11 +23,8 @@ class BlockObservations:
     rho: np.ndarray  # (N,): inverse depth [1/baseline]
     sigma_rho: np.ndarray  # (N,): its standard deviation [1/baseline]
     blur: np.ndarray  # (N,): the part of it that vectors make [1/baseline]
-    # (N,): what sigma_rho would be at infinity, as seen from camera k-1 [1/baseline]
-    far_sigma: np.ndarray
-    parallax: np.ndarray  # (N,): ||x'_prev - x_cur||, [px]
-    # (N, 2): x_cur - x'_prev, which is left of the vector without the camera's rotation, (6) [px]
-    flow: np.ndarray
+    # (N,): ||x'_prev - x_cur||, what is left of the vector without the rotation, (6) [px]
+    parallax: np.ndarray
     epipolar_inlier: np.ndarray  # (N,) bool: (3)
     at_infinity: np.ndarray  # (N,) bool: (7), too little parallax for a depth
     # (N,) bool: the direction constraint fails: the block moves against the stationary flow

@@ -5,8 +5,6 @@ hardly. The tilt therefore has a prior (surfaces of vehicles and people are upri
 variance shows in the covariance where the vectors add nothing.
 """
 
-from dataclasses import dataclass
-import math
 from typing import NamedTuple
 
 from mv_slapse.geometry.camera import UP
@@ -35,21 +33,14 @@ class Rules(NamedTuple):
     farthest: float = 60.0  # and the other end
 
 
-@dataclass(frozen=True)
-class MovingPlane:
+class MovingPlane(NamedTuple):
     """A moving plane of one key frame pair; lengths in the unit of ``t_cur_from_prev``."""
 
     plane: np.ndarray  # (3,): n / d in camera k
+    covariance: np.ndarray  # (6, 6): of (plane, t_d), long along the gauge
     t_d: np.ndarray  # (3,): displacement from k to k-1, (11) of [MVO]
     product: np.ndarray  # (3, 3): (t - t_d) plane^T, what two views observe
-    covariance: np.ndarray  # (6, 6): of (plane, t_d), long along the gauge
     scale_prior: ScalePrior  # what settled the gauge
-    # share of its depth that the surface lost during the pair; of the same scale at any depth
-    closing: float
-    closing_variance: float  # of that share
-    centre: np.ndarray  # (2,): ray (x, y, 1) of the region's centre in camera k
-    inlier: np.ndarray  # (N,) bool: correspondences that agree
-    rms: float  # of the inliers' errors, in their own standard deviations
 
 
 class View(NamedTuple):
@@ -106,8 +97,6 @@ def settled(fit: Surfaces, blocks, i: int, view: View,
                                     i, view, ground, Rules())
     if found is None:
         return None
-    plane, t_d, covariance, product, on_ground, closing_variance = found
-    prior = ScalePrior.GROUND_CONTACT if on_ground else ScalePrior.SMALLEST_MOTION
-    end = blocks.first[i + 1] if i + 1 < len(blocks.first) else None
-    return MovingPlane(plane, t_d, product, covariance, prior, -fit.theta[i, 2], closing_variance,
-                       fit.centre[i], fit.inlier[blocks.first[i]:end], math.sqrt(fit.variance[i]))
+    *plane, on_ground = found
+    return MovingPlane(
+        *plane, ScalePrior.GROUND_CONTACT if on_ground else ScalePrior.SMALLEST_MOTION)

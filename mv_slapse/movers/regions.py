@@ -25,7 +25,7 @@ from mv_slapse.movers.moving_plane import (
 from mv_slapse.movers.outlines import NOT_KNOWN, outlines
 from mv_slapse.movers.outlines import RULES as OUTLINE
 from mv_slapse.movers.score import departures, scores
-from mv_slapse.records import Extraction, Label, MotionStatus, PlaneObservation
+from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
 
 
@@ -55,7 +55,6 @@ class Rules(NamedTuple):
     macroblock: float = MACROBLOCK
     least_sigma: float = 0.25  # px, of a vector on a small surface, whatever the pair says
     shape: float = 0.04  # share of a vector by which it errs as vehicles are no planes
-    growth: float = 1.0  # [1/s] of things before a standing camera: contact in a second
     kept: float = 0.5  # of the score to move: enough for what was or is beside a mover
 
 
@@ -192,15 +191,9 @@ def _pair(extraction, before):
 
 
 def _regions(extraction, pair, view, ground):
-    """Judge the blocks singly and join those that move alike, or are one body.
-
-    Where the camera stands no depth tells how what comes near grows.
-    """
-    seconds = 1e-9 * (extraction.stamp - extraction.previous_stamp)
-    growth = RULES.growth * seconds * (extraction.motion.status is MotionStatus.STANDSTILL)
+    """Judge the blocks singly and join those that move alike, or are one body."""
     alike = _Alike(*pair, *compiled.moving_regions(
-        pair, view, NOT_KNOWN if ground.plane is None else ground.plane, ground.nearer, growth,
-        RULES))
+        pair, view, NOT_KNOWN if ground.plane is None else ground.plane, ground.nearer, RULES))
     if ground.plane is None:
         return alike
     members, first = body.with_bodies(alike, extraction.width, ground.camera_height)
@@ -268,8 +261,7 @@ def _labelled(extraction, alike, planes, ids, told, view):
         label[member] = Label.MOVING
         plane_id[member] = ids[i]
         found.append(PlaneObservation(
-            int(ids[i]), Label.MOVING, plane.plane, plane.covariance, plane.t_d, plane.product,
-            plane.scale_prior, False, count_macroblocks(extraction.x_cur[member]),
+            int(ids[i]), Label.MOVING, *plane, False, count_macroblocks(extraction.x_cur[member]),
             float(max(told.total[i], told.gone[i]))))
     return replace(extraction, label=label, plane_id=plane_id,
                    planes=(*extraction.planes, *found))

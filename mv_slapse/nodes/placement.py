@@ -5,14 +5,8 @@ from dataclasses import replace
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from mv_slapse import fields
-from mv_slapse.geometry.ros_frames import (
-    ORIGIN,
-    Pose,
-    pose_to_odom,
-    pose_to_world,
-    RosFrames,
-    skew,
-)
+from mv_slapse.geometry.ros_frames import ORIGIN, Pose, pose_to_odom, pose_to_world, RosFrames
+from mv_slapse.geometry.rotation import skew
 from mv_slapse.known_map import about
 from mv_slapse.level import levelled
 from mv_slapse.message_checks import InvalidMessage

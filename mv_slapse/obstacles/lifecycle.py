@@ -19,7 +19,6 @@ ONE_BODY = 1.2  # of it, at which a body is believed: three to one
 # Chi-square at which labels call a region moving, and beyond it for a unit of that: wrong vectors
 # do not last, of 37 regions in kitti00, parking and crossings the highest but one came to 26.
 EVEN_SCORE, PER_SCORE = ExtractionSettings.moving_score, 15.0
-USUAL_STARTS = 0.7  # [1/s] tracks that come to nothing, of streams with enough bits: 0.1 to 0.7
 INDEPENDENT = 0.1  # [s] after which an outline of wrong vectors is another one
 STILL_SHARE = 0.6  # of an obstacle's blocks that the labels call stationary
 
@@ -39,15 +38,13 @@ class Evidence(NamedTuple):
 
 
 def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSettings,
-             false_starts: float = 0.0, alone: bool = True) -> bool:
+             alone: bool = True) -> bool:
     """Return whether a track's evidence makes it an obstacle that a planner may brake for.
 
-    Detections of one body that moves, in enough pairs over enough time. The more tracks come to
-    nothing (``false_starts``, [1/s]), the less likely the next one is an obstacle, and the surer
-    it must be. A region's score tells once: that it moves, where the velocity after all
-    detections does not differ from zero yet, as of a leader whose speed hangs on one row of
-    blocks; else that it lasts, as a body's does, where the track is ``alone``: no other obstacle's
-    outline meets its own.
+    Detections of one body that moves, in enough pairs over enough time. A region's score tells
+    once: that it moves, where the velocity after all detections does not differ from zero yet, as
+    of a leader whose speed hangs on one row of blocks; else that it lasts, as a body's does, where
+    the track is ``alone``: no other obstacle's outline meets its own.
     """
     recent = within(evidence, settings.confirm_window)
     if len(recent) < settings.confirm_pairs:
@@ -56,10 +53,9 @@ def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSe
     bound = ekf.chi2_bound(settings.moving_confidence, 3)
     moves, lasts = newest.statistic + newest.score > bound, newest.statistic > bound and alone
     lasted = 1e-9 * (newest.stamp - recent[0].start)
-    sure = ONE_BODY + math.log(max(false_starts / USUAL_STARTS, 1.0))
     first_only = not any(e.dof for e in evidence)  # which only the settings can let suffice
     return (moves and newest.speed >= slowest and lasted >= settings.confirm_time - 1e-6
-            and (first_only or one_body(evidence) + lasts * _lasting(newest.score) >= sure))
+            and (first_only or one_body(evidence) + lasts * _lasting(newest.score) >= ONE_BODY))
 
 
 def _lasting(score):
@@ -88,16 +84,6 @@ def _favour(nis, overlap):
     """Return what one detection adds."""
     moves = NIS_GAIN * math.log(EVEN_NIS / min(max(nis, LEAST_NIS), MOST_NIS))
     return moves + OVERLAP_GAIN * (max(overlap, LEAST_OVERLAP) - EVEN_OVERLAP)
-
-
-def dissolves(evidence: Sequence[Evidence], unit: float, settings: ObstacleSettings) -> bool:
-    """Return whether a confirmed obstacle's detections are no body any more.
-
-    Nothing is left of what spoke for one, and what is found there hardly moves: road whose wrong
-    vectors took over the place of a vehicle. ``unit`` is what to take for 1 m/s [map unit/s].
-    """
-    return (evidence[-1].dof > 0 and evidence[-1].speed < settings.still_speed * unit
-            and one_body(evidence) == 0)
 
 
 def stands_still(evidence: Sequence[Evidence], unit: float, settings: ObstacleSettings) -> bool:

@@ -64,14 +64,6 @@ def to_cartesian(mu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return compiled.obstacle_to_cartesian(mu)
 
 
-def from_cartesian(cartesian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the state (8,) of position, relative velocity and w at any scale, derivative (8, 9).
-
-    The inverse of ``to_cartesian``; the position must lie in front of the camera.
-    """
-    return compiled.obstacle_from_cartesian(cartesian)
-
-
 def motion(mu: np.ndarray, P: np.ndarray, scene: np.ndarray,
            scene_covariance: np.ndarray) -> Motion:
     """Return position and velocity in the world, both in camera axes.

@@ -12,7 +12,7 @@ from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import association
 from mv_slapse.obstacles import motion_model as om
-from mv_slapse.obstacles.detection import body_box, box_of, cut_sides, Detection, Edge, is_cut
+from mv_slapse.obstacles.detection import body_box, box_of, Detection, Edge, is_cut
 from mv_slapse.obstacles.lifecycle import Evidence, within
 from mv_slapse.obstacles.view import UNSCALED_SPEED, View
 from mv_slapse.records import Extraction, Label, Obstacle, ObstacleState, PlaneHandover, ScalePrior
@@ -24,10 +24,7 @@ UNREST_RANGE = (0.3, 3.0)  # of the acceleration, calm and in a manoeuvre
 EDGE_SHARE = 0.3  # [1/sqrt(s)]
 POINT_SHARE, PART_SHARE = 0.1, 0.5  # of an obstacle's size; the latter at the picture's edge
 FOOT_SIGMA = 2.5  # [px] by which it is wrong for as long as the obstacle looks the same
-SAME_OUTLINE = 0.6  # overlap with the predicted box of 96 % of right detections, or more
-SETTLED = 3  # detections that tell where the outline should be
 OUTLINE_TIMES = 2.0  # correlation times over which outlines are averaged, which err alike in one
-BODY = ('mu', 'P', 'extent', 'edge', 'scale_prior', 'drift')  # what a track knows of a vehicle
 NO_PLANE = -1  # id of the plane of a track whose plane is another one's now
 CLEARANCE = 0.12  # of ln Z: vehicles seen from behind end 0.2 m above the road, of 1.65 m
 BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
@@ -95,10 +92,7 @@ class Track:
 
         A place alone is no evidence: the less is known of the way the more blocks pass there.
         """
-        box = self.box(view)
-        shared = association.box_overlap(box, clipped(detection.box, view))
-        if shared < SAME_OUTLINE and len(self.evidence) >= SETTLED:
-            detection = _doubted(detection, shared, box, view)
+        shared = association.box_overlap(self.box(view), clipped(detection.box, view))
         distance, dof = association.squared_distance(self.mu, self.P, detection)
         excess = max(1.0, distance / ekf.chi2_bound(settings.gate, dof))
         if excess > 1 and detection.has_rate and self._disagreed(settings):
@@ -141,31 +135,9 @@ class Track:
         names = ['x', 'block', 'last_seen']
         names += ['plane_id'] * (other.plane_id != NO_PLANE)
         if other.P[2, 2] < self.P[2, 2]:
-            names += [*BODY, 'evidence']
+            names += ['mu', 'P', 'extent', 'edge', 'scale_prior', 'drift', 'evidence']
         else:
             self.evidence = within([*self.evidence, other.evidence[-1]], KEPT_EVIDENCE)
-        self._take(other, names)
-
-    def may_show(self, detection: Detection, view: View, gate: float) -> bool:
-        """Return whether a detection at the edge of the picture may be a face of this obstacle.
-
-        The same edge cuts both, and they have one velocity.
-        """
-        if not np.any(cut_sides(self.extent, view) & cut_sides(detection.box, view)):
-            return False
-        old, new = self.motion(view), om.motion(detection.z, detection.R, view.scene_velocity,
-                                                np.zeros((3, 3)))
-        return ekf.squared_distance(new.velocity - old.velocity, (
-            new.covariance + old.covariance)[3:, 3:]) < ekf.chi2_bound(gate, 3)
-
-    def restart(self, detection: Detection, extraction: Extraction, view: View):
-        """Go on with what a detection alone tells, as of another face of the same vehicle."""
-        new = start(detection, extraction, view, self.id)
-        self._take(new, ('x', 'block', 'last_seen', 'plane_id', *BODY))
-        self.evidence = within([*self.evidence, *new.evidence], KEPT_EVIDENCE)
-
-    def _take(self, other, names):
-        """Take what another track has under some names."""
         for name in names:
             setattr(self, name, getattr(other, name))
 
@@ -307,19 +279,6 @@ def clipped(box: np.ndarray, view: View) -> np.ndarray:
     left, top = min(max(x, 0.0), across), min(max(y, 0.0), down)
     return np.array([left, top, min(max(x + width, 0.0), across) - left,
                      min(max(y + height, 0.0), down) - top])
-
-
-def _doubted(detection, shared, box, view):
-    """Return a detection whose outline jumped, believed the less the less it shares of the box.
-
-    Where two vehicles meet in the picture their blocks make one region for a while: its middle
-    and its motion are of neither.
-    """
-    jump = (1 - shared) * np.maximum(detection.box[2:], box[2:]) / 2
-    R = detection.R.copy()
-    R[om.BEARING, om.BEARING] += np.diag((jump / view.focal)**2)
-    R[om.RATE, om.RATE] /= max(shared, association.MIN_OVERLAP)**2
-    return replace(detection, R=R)
 
 
 def _correlated(R, dt, settings):

@@ -37,7 +37,6 @@ from mv_slapse.records import (
 import numpy as np
 
 OWN_IDS = 1_000_000  # ids from here on are given where a plane's id is another track's already
-STARTS_MEMORY = 5.0  # [s] over which tracks that come to nothing are counted
 SAME_DEPTH = 2.0  # times an obstacle's depth, or a share of it, that still is where it was
 TENTATIVE_LIFETIME = 0.25  # [s] a track that is not yet confirmed may go without evidence
 
@@ -54,7 +53,6 @@ class ObstacleTracker:
         self._view: View | None = None
         self._used: set[int] = set()
         self._next_id = OWN_IDS
-        self._false_starts = 0.0
 
     @one_thread
     def step(self, extraction: Extraction, scene: SceneEstimate,
@@ -87,17 +85,15 @@ class ObstacleTracker:
                         if not self._expired(track, extraction.previous_stamp)]
         self._change_unit(scene)
         view = view_of(extraction, scene, self._scene, self._view)
-        gone = self._predict(extraction, scene, view)
+        self._predict(extraction, scene, view)
         self._scene, self._view = scene, view
-        owners = {track.plane_id: track for track in (*gone, *self._tracks)}
+        owners = {track.plane_id: track for track in self._tracks}
         expected = {track.plane_id: track.box(view) for track in self._tracks}
         found = [joined(group, view) for group in association.groups(
             detections(extraction, view, self._settings), self._settings.gate, expected,
             lambda group: self._may_be_one(group, extraction))]
         free = self._continue(found, owners, extraction)
         self._search(extraction)
-        free = [item for item in free if not self._is_other_face(item, owners, extraction)]
-        free = self._absorb(free, extraction.stamp)
         self._begin(free, extraction)
         self._merge()
         self._take(handovers, extraction)
@@ -110,7 +106,6 @@ class ObstacleTracker:
     def _forget(self):
         """Begin anew, with ids that were not given yet."""
         self._tracks, self._waiting, self._scene, self._view = [], {}, None, None
-        self._false_starts = 0.0
 
     def _change_unit(self, scene):
         """Take all along into the unit of a map that becomes metric; forget what cannot come."""
@@ -128,17 +123,16 @@ class ObstacleTracker:
                          for id_, item in self._waiting.items()}
 
     def _predict(self, extraction, scene, view):
-        """Move the tracks on; drop and return those that leave the view."""
+        """Move the tracks on; drop those that leave the view."""
         if self._scene is None:
-            return []
+            return
         dt = 1e-9 * (extraction.stamp - self._scene.stamp)
         R, t = view.R_cur_from_prev, view.t_cur_from_prev
         if extraction.previous_stamp != self._scene.stamp:
             R, t = relative_motion(self._scene, scene)
         step = CameraStep(R, t, dt, self._view.scene_velocity, self._view.scene_covariance)
-        gone = [track for track in self._tracks if not track.predict(step, view, self._settings)]
-        self._tracks = [track for track in self._tracks if track not in gone]
-        return gone
+        self._tracks = [track for track in self._tracks
+                        if track.predict(step, view, self._settings)]
 
     def _continue(self, found, owners, extraction):
         """Update tracks by their detections; return the detections that have none."""
@@ -163,21 +157,6 @@ class ObstacleTracker:
             if track is not owner and track.plane_id == owner.plane_id:
                 track.plane_id = tracks.NO_PLANE
 
-    def _is_other_face(self, item, owners, extraction):
-        """Tell whether a detection is what the picture's edge leaves of an obstacle; restart that.
-
-        Where the front has left the picture the side is seen, which lies and grows otherwise, but
-        goes where the front went.
-        """
-        track = owners.get(item.id)
-        if (track is None or not track.confirmed or track.last_seen == extraction.stamp
-                or not track.may_show(item, self._view, self._settings.gate)):
-            return False
-        track.restart(item, extraction, self._view)
-        if track not in self._tracks:
-            self._tracks.append(track)
-        return True
-
     def _may_be_one(self, group, extraction):
         """Return whether detections may be surfaces of one vehicle by the ground they cover."""
         return (footprint.may_be_one(joined(group, self._view), self._view)
@@ -196,12 +175,6 @@ class ObstacleTracker:
                     track.x, track.block = tiles(box)
                     track.update(replace(item, id=track.plane_id), extraction, self._view,
                                  self._settings)
-
-    def _absorb(self, free, stamp):
-        """Drop detections that lie on an obstacle just seen: parts of it, not a second one."""
-        seen = [track for track in self._tracks if track.last_seen == stamp]
-        return [item for item in free
-                if not any(association.overlap(track.x, item.x) > 0.3 for track in seen)]
 
     def _merge(self):
         """Let the tracks of one vehicle become one, under the id that is known longest."""
@@ -240,28 +213,16 @@ class ObstacleTracker:
         """Confirm, hand over and expire tracks; return what is left and what is handed over."""
         given = []
         for track in self._tracks:
-            if track.confirmed:
-                track.confirmed = not lifecycle.dissolves(
-                    track.evidence, self._view.speed_unit, self._settings)
-            else:
-                track.confirmed = self._may_drive(track) and lifecycle.confirms(
-                    track.evidence, self._view.is_metric, self._settings, self._false_starts,
-                    self._is_alone(track))
+            track.confirmed = track.confirmed or self._may_drive(track) and lifecycle.confirms(
+                track.evidence, self._view.is_metric, self._settings, self._is_alone(track))
             if (track.confirmed and track.plane_id != tracks.NO_PLANE
                     and self._has_stopped(track, extraction)):
                 given.append(track)
         handed = [track.handover(extraction.stamp, self._view) for track in given]
-        ended = [track for track in self._tracks if self._expired(track, extraction.stamp)]
-        self._count(sum(not track.confirmed for track in ended))
-        self._tracks = [track for track in self._tracks
-                        if track not in given and track not in ended]
+        self._tracks = [track for track in self._tracks if track not in given
+                        and not self._expired(track, extraction.stamp)]
         self._used |= {track.id for track in self._tracks}
         return self._obstacles(extraction.stamp), handed
-
-    def _count(self, failed):
-        """Keep the rate of tracks that come to nothing [1/s]."""
-        share = min(self._view.dt / STARTS_MEMORY, 1.0)
-        self._false_starts += share * (failed / self._view.dt - self._false_starts)
 
     def _may_drive(self, track):
         """Tell whether an obstacle touches the ground, where there is one, and is no building."""

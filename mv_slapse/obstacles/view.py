@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from mv_slapse.config import SceneSettings, USUAL_HEIGHT
-from mv_slapse.geometry import plane as planes
 from mv_slapse.geometry.vector import norm
 from mv_slapse.records import Extraction, MotionStatus, ScaleStatus, SceneEstimate
 import numpy as np
@@ -77,10 +76,6 @@ class View:
     def tallest(self) -> float:
         """Return how tall [map unit] an obstacle may be, given a ground."""
         return TALLEST * self.metre
-
-    def to_world(self, X_cam: np.ndarray) -> np.ndarray:
-        """Return points (N, 3) or (3,) of the camera frame in {W}."""
-        return X_cam @ self.R_world_from_cam.T + self.t_world_from_cam
 
     def plane_to_cam(self, plane_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a plane of {W} in the camera, upper half of (16), and the derivative (3, 3)."""
@@ -165,6 +160,5 @@ def _ground(scene, last):
             unseen = 1e-9 * (scene.stamp - plane.last_stamp) > OUT_OF_SIGHT
             if unseen and last is not None and last.ground is not None:
                 return last.ground, last.ground_normal_covariance
-            return (planes.from_normal_depth(R.T @ plane.normal, depth),
-                    R.T @ plane.covariance[:3, :3] @ R)
+            return R.T @ plane.normal / depth, R.T @ plane.covariance[:3, :3] @ R
     return None, np.zeros((3, 3))

@@ -18,7 +18,6 @@ from mv_slapse.records import (
 )
 from mv_slapse.scene import gating as scene_gate
 from mv_slapse.scene import gauge as scene_gauge
-from mv_slapse.scene import input as scene_input
 from mv_slapse.scene import observations as scene_observations
 from mv_slapse.scene import plane_map as scene_map
 from mv_slapse.scene import record as scene_record
@@ -32,8 +31,7 @@ from mv_slapse.scene.scale import ratio as scene_ratio
 from mv_slapse.scene.scale import rest as scene_rest
 from mv_slapse.scene.scale import speed as scene_speed
 from mv_slapse.scene.scale.ride import Ride
-from mv_slapse.scene.scale.speed import Way
-from mv_slapse.scene.scale.speed_log import SpeedLog
+from mv_slapse.scene.scale.speed import SpeedLog, Way
 from mv_slapse.scene.state import SceneState
 import numpy as np
 
@@ -258,11 +256,11 @@ class SceneFilter:
         way = self._way(extraction.previous_stamp, turn)
         self._ride = self._ride.kept(self._state, extraction.motion)
         self._progress.anew, baseline = False, self._baseline(extraction, way)
-        pair, plane_id = scene_input.stationary(extraction)
+        pair, plane_id = scene_update.stationary(extraction)
         self._dependence = self._dependence.seen(pair, extraction.motion.R_cur_from_prev,
                                                  extraction.motion.t_cur_from_prev)
         settings = self._dependence.settings(self._settings, extraction.label)
-        shown = scene_input.shown(self._state.previous, extraction.motion, baseline)
+        shown = scene_update.shown(self._state.previous, extraction.motion, baseline)
         expected = replace(self._state, current=shown) if self._progress.rested else self._state
         known = self._known(scene_gate.distances(expected, extraction, settings))
         trusted = scene_gate.trusted(self._state, extraction, known, self._progress.misses)
@@ -276,7 +274,7 @@ class SceneFilter:
         ratio = (scene_ratio.told(self._state, extraction, depths, settings, self._progress.rested)
                  if follows else [])
         if ratio:  # braking hard, a step from the length predicted would go beyond zero
-            shown = scene_input.shown(self._state.previous, extraction.motion,
+            shown = scene_update.shown(self._state.previous, extraction.motion,
                                       float(np.exp(self._state.depth_scale)))
         start = self._state.error_to(replace(self._state, current=shown))
         gauge = self._gauge(baseline, first, way, bool(known or ratio))
@@ -290,8 +288,8 @@ class SceneFilter:
             self._progress.going = self._progress.interval
         # Not the speed now: what comes to rest could hardly start again, the scale would shrink.
         self._progress.fastest = max(norm(self._state.velocity), self._progress.fastest)
-        if not self._is_unscaled:
-            self._ride = self._ride.seen(self._state, extraction, ground, settings)
+        if ground is not None and not settings.camera_height:
+            self._ride = self._ride.seen(self._state, ground)
         self._map.observe(self._state, extraction, ids)
         self._forget(extraction.stamp)
         if first or known or (ratio or way) and not self.distances:

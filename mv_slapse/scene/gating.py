@@ -45,12 +45,6 @@ def ground_seen(extraction: Extraction) -> PlaneObservation | None:
     return next((plane for plane in extraction.planes if plane.is_ground), None)
 
 
-def ground_plane(extraction: Extraction) -> np.ndarray | None:
-    """Return the ground (3,) in camera k [1/baseline], None where it is not seen."""
-    ground = ground_seen(extraction)
-    return None if ground is None else ground.plane
-
-
 def distances(state: SceneState, extraction: Extraction,
               settings: SceneSettings) -> dict[int, float]:
     """Return the squared distance of each known plane from the predicted state, by its id."""

@@ -6,17 +6,12 @@ from dataclasses import dataclass
 from mv_slapse.changed import unchecked
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import two_view
-from mv_slapse.geometry.vector import norm
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.records import Extraction, Label
-from mv_slapse.scene import gating as scene_gate
-from mv_slapse.scene.state import log_baseline, SceneState
+from mv_slapse.records import Label
 import numpy as np
 
 LEAST = 50  # correspondences whose errors can tell
 SLOW = 0.1  # weight of the newest pair in the running mean: some 10 pairs
-WANDER_TIME = 1.0  # s, of the mean departure of the height: single pairs are noise
-FORGET_TIME = 5.0  # s, in which a wandering height is forgotten
 TENTH = 6.25  # chi-square of 3 degrees of freedom is larger once in ten
 AGREEMENT_STEP = 0.3  # of the log of the scale: some 60 planes seen make it a sixth
 LEAST_SCALE = 0.1  # a tenfold conservative covariance; a lower one was not met on real streams
@@ -77,36 +72,6 @@ class Agreement:
             beyond = float(distance > TENTH * scale)
             scale *= np.exp(AGREEMENT_STEP * (beyond - 0.1))
         return Agreement(float(min(max(scale, LEAST_SCALE), 1.0)))
-
-
-@dataclass(frozen=True)
-class HeightWander:
-    """How far the height that the ground shows departs from the scale that is carried along.
-
-    ``mean`` is its running mean as a share of the height, ``square`` that mean's running square.
-    Where vectors on the road are wrong in bulk, the height wanders for seconds, and the scale
-    after it: its error lasts and is larger than that of a well measured height.
-    """
-
-    mean: float = 0.0
-    square: float = 0.0
-
-    def seen(self, state: SceneState, extraction: Extraction,
-             settings: SceneSettings) -> 'HeightWander':
-        """Return it after one more pair."""
-        ground = scene_gate.ground_plane(extraction)
-        if not settings.camera_height or ground is None:
-            return self
-        metric = np.log(settings.camera_height * norm(ground))
-        departure = float(metric - log_baseline(state)[0])
-        dt = (extraction.stamp - extraction.previous_stamp) * 1e-9
-        mean = self.mean + min(dt / WANDER_TIME, 1.0) * (departure - self.mean)
-        return HeightWander(mean, self.square + min(dt / FORGET_TIME, 1.0) * (
-            mean**2 - self.square))
-
-    def lasting(self, settings: SceneSettings) -> float:
-        """Return the standard deviation of what lasts of the height's error, as a share."""
-        return float(np.hypot(settings.camera_height_bias, np.sqrt(self.square)))
 
 
 def measured(pair: two_view.Pair, R, t) -> float:

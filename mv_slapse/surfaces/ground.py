@@ -205,7 +205,6 @@ class Ride:
 
     course: np.ndarray  # (3,): its way, as of ``course_of``
     turn: float  # how far it turns [rad]
-    learns: bool  # whether the pair's vectors can be trusted to mean what they say
     cut: float  # largest error of a block on the ground [sigma]
 
 
@@ -222,9 +221,8 @@ def survey(seen: BlockObservations, x: np.ndarray, lone: np.ndarray, prior: Grou
     way, ahead, drop, ceiling, parallax = compiled.find_way(
         *depths.columns, seen.epipolar_inlier, lone, seen.parallax, prior.normal, ride.course,
         ride.turn, POLICY)
-    if ride.learns:
-        blocks = RoadBlocks(depths, drop, seen.epipolar_error, seen.pair.sigma, seen.parallax, way)
-        belief = belief.seen(blocks, prior.tilt, parallax, ceiling)
+    blocks = RoadBlocks(depths, drop, seen.epipolar_error, seen.pair.sigma, seen.parallax, way)
+    belief = belief.seen(blocks, prior.tilt, parallax, ceiling)
     prior = prior.informed(belief)
     road = np.zeros(len(depths), bool)
     if prior.spread < height.SURE:

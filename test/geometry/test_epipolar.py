@@ -60,7 +60,7 @@ def test_error_is_blind_to_the_length_of_the_baseline(rng, exact):
 def test_derotated_points_at_infinity_do_not_move():
     R, _ = motion('turning')
     sky = views(R, np.zeros(3), planes=[])
-    np.testing.assert_allclose(epipolar.derotate(to_rays(K, sky.x_prev), R), to_rays(K, sky.x_cur),
+    np.testing.assert_allclose(formulas.derotate(to_rays(K, sky.x_prev), R), to_rays(K, sky.x_cur),
                                atol=1e-12)
     np.testing.assert_allclose(
         formulas.parallax(to_rays(K, sky.x_cur), to_rays(K, sky.x_prev), FOCAL, R), 0, atol=1e-9)
@@ -83,7 +83,7 @@ def test_inverse_depth_is_in_units_of_the_baseline(exact):
 def test_a_point_that_moves_against_the_flow_has_a_negative_depth():
     scene = views(*motion('sideways'))
     still = to_rays(K, scene.x_cur)
-    behind = 2 * still - epipolar.derotate(to_rays(K, scene.x_true), scene.R)
+    behind = 2 * still - formulas.derotate(to_rays(K, scene.x_true), scene.R)
     rho, _ = epipolar.inverse_depth(still, behind @ scene.R, FOCAL, scene.R, scene.t)
     assert np.all(rho[scene.surface >= 0] < 0)
 

@@ -1,12 +1,14 @@
 """The rank-1 form of a moving plane: definition, round trip, Jacobians, ground contact."""
 
-from mv_slapse.geometry import moving_plane
 from mv_slapse.geometry.camera import to_pixels, to_rays
+from mv_slapse.geometry.moving_plane import homography
 from numeric import jacobian
 import numpy as np
 import obstacles_reference as reference
 import pytest
 from scipy.spatial.transform import Rotation
+
+from benchmarks.papers import moving_plane
 
 K = np.array([[500.0, 0, 320], [0, 510, 240], [0, 0, 1]])
 
@@ -33,7 +35,7 @@ def test_transfer_moves_the_points_of_the_plane_by_their_displacement(rng):
 
 def test_transfer_is_the_homography_of_the_product(rng):
     theta, centre, R, _, rays = scene(rng)
-    H = moving_plane.homography(moving_plane.product(theta, centre), K, R)
+    H = homography(moving_plane.product(theta, centre), K, R)
     x = np.c_[to_pixels(K, rays), np.ones(len(rays))] @ H.T
     x_prev, _ = reference.transfer(theta, rays, centre, K, R)
     np.testing.assert_allclose(x_prev, x[:, :2] / x[:, 2:], atol=1e-9)

@@ -18,14 +18,6 @@ def points(rng, random_plane):
     return X - np.outer(X @ random_plane + 1, random_plane) / (random_plane @ random_plane)
 
 
-def test_normal_and_depth_come_back(rng):
-    normal, depth = rng.normal(size=3), 3.7
-    normal /= np.linalg.norm(normal)
-    found_normal, found_depth = formulas.to_normal_depth(plane.from_normal_depth(normal, depth))
-    np.testing.assert_allclose(found_normal, normal)
-    assert found_depth == pytest.approx(depth)
-
-
 def test_the_point_nearest_to_the_origin_lies_against_the_normal():
     normal, depth = formulas.to_normal_depth(np.array([0, -0.5, 0]))  # a road 2 m below the camera
     np.testing.assert_array_equal(normal, [0, -1, 0])

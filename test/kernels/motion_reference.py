@@ -1,8 +1,9 @@
 """Motion and observations of blocks in numpy: the formulas of their kernels, as reference."""
 
 import formulas
+from formulas import derotate
 from kernels.two_view_reference import epipolar_jacobian
-from mv_slapse.geometry import epipolar, rotation
+from mv_slapse.geometry import rotation
 from mv_slapse.motion.estimate import MIN_CORRESPONDENCES, MotionFit, SETTLED, WIDTHS
 import numpy as np
 
@@ -104,25 +105,16 @@ def epipolar_error(rays_cur, rays_prev, focal, R, t):
 
 def inverse_depth(rays_cur, rays_prev, focal, R, t):
     """Return the inverse depth (N,) and its change by a pixel along the epipolar line."""
-    y = epipolar.derotate(rays_prev, R)[:, :2]
+    y = derotate(rays_prev, R)[:, :2]
     g = (t[:2] - y * t[2]) * focal
     length = np.maximum(np.linalg.norm(g, axis=1), 1e-9)
     rho = np.sum((rays_cur[:, :2] - y) * focal * g, axis=1) / length**2
     return rho, np.abs(1 - rho * t[2]) / length
 
 
-def reach(rays_cur, focal, t_cur_from_prev) -> np.ndarray:
-    """Parallax of points at distance 1 from camera k-1 for each ray (N, 3) of camera k, (N,) [px].
-
-    From x - y = rho_prev (t_xy - x t_z): free of the noise of the match, as x is exact.
-    """
-    g = (t_cur_from_prev[:2] - rays_cur[:, :2] * t_cur_from_prev[2]) * focal
-    return np.maximum(np.hypot(g[:, 0], g[:, 1]), 1e-9)
-
-
 def before_camera(rays_cur, rays_prev, focal, R, t) -> np.ndarray:
     """Return True where a block's motion puts it before the camera, (N,)."""
-    y = epipolar.derotate(rays_prev, R)[:, :2]
+    y = derotate(rays_prev, R)[:, :2]
     outward = (t[:2] - y * t[2]) * focal
     return np.einsum('ij,ij->i', outward, (rays_cur[:, :2] - y) * focal) > 0
 
@@ -141,9 +133,8 @@ def observed(pair, fit, epsilon_f, epsilon_m, relief):
     R, t, focal = fit.R_cur_from_prev, fit.t_cur_from_prev, pair.focal
     error = epipolar_error(pair.rays_cur, pair.rays_prev, focal, R, t) / pair.sigma
     rho, per_pixel = inverse_depth(pair.rays_cur, pair.rays_prev, focal, R, t)
-    blur, far = per_pixel * pair.sigma, pair.sigma / reach(pair.rays_cur, focal, t)
-    flow = formulas.parallax(pair.rays_cur, pair.rays_prev, focal, R)
-    parallax = np.linalg.norm(flow, axis=1)
+    blur = per_pixel * pair.sigma
+    parallax = np.linalg.norm(formulas.parallax(pair.rays_cur, pair.rays_prev, focal, R), axis=1)
     inlier, near = np.abs(error) < epsilon_f, parallax >= epsilon_m
-    return (error, rho, np.hypot(blur, relief * rho), blur, far, parallax, flow, inlier,
+    return (error, rho, np.hypot(blur, relief * rho), blur, parallax, inlier,
             inlier & ~near, inlier & near & (rho < -3 * blur), inlier & near & (rho > 0))

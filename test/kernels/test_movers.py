@@ -48,14 +48,14 @@ def drawn_pair(rng, stands=False):
 def scene(request, rng):
     """Return a pair, its camera, its ground, and the regions of blocks that move alike."""
     pair, view, ground = drawn_pair(rng, request.param)
-    ground, growth = (np.zeros(3), 0.2) if request.param else (ground, 0.0)
-    return pair, view, ground, growth, regions._Alike(*pair, *compiled.moving_regions(
-        pair, view, ground, 1.0, growth, regions.RULES))
+    ground = np.zeros(3) if request.param else ground
+    return pair, view, ground, regions._Alike(*pair, *compiled.moving_regions(
+        pair, view, ground, 1.0, regions.RULES))
 
 
 def test_blocks_are_joined_as_by_the_formula(scene):
-    pair, view, ground, growth, alike = scene
-    expected = reference.moving_regions(pair, view, ground, 1.0, growth, regions.RULES)
+    pair, view, ground, alike = scene
+    expected = reference.moving_regions(pair, view, ground, 1.0, regions.RULES)
     assert len(alike.first) >= 3
     for own, other in zip(alike[len(pair):], expected, strict=True):
         np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-9)
@@ -63,7 +63,7 @@ def test_blocks_are_joined_as_by_the_formula(scene):
 
 def test_bodies_are_those_of_the_formula(rng):
     pair, view, ground = drawn_pair(rng)
-    alike = regions._Alike(*pair, *compiled.moving_regions(pair, view, ground, 1.0, 0.0,
+    alike = regions._Alike(*pair, *compiled.moving_regions(pair, view, ground, 1.0,
                                                            regions.RULES))
     n, x, under = len(pair.x), pair.x, alike.under
     rho = under * rng.normal(1, 0.1, n)
@@ -80,14 +80,13 @@ def test_bodies_are_those_of_the_formula(rng):
 
 
 def test_no_blocks_are_no_regions(scene):
-    pair, view, ground, growth, _ = scene
+    pair, view, ground, _ = scene
     nothing = regions._Pair(*(column[:0] for column in pair))
-    assert not any(map(len, compiled.moving_regions(nothing, view, ground, 1.0, growth,
-                                                    regions.RULES)))
+    assert not any(map(len, compiled.moving_regions(nothing, view, ground, 1.0, regions.RULES)))
 
 
 def test_each_surface_is_fitted_as_by_the_formula(scene):
-    pair, view, ground, _, alike = scene
+    pair, view, ground, alike = scene
     at, rules = alike.members, moving_plane.Rules()
     fit = moving_plane.Surfaces(*compiled.fit_moving_surfaces(
         pair.x[at], pair.x_prev[at], pair.sigma[at], alike.first, view, -UP, rules))
@@ -106,7 +105,7 @@ def test_each_surface_is_fitted_as_by_the_formula(scene):
 
 
 def test_each_surface_is_settled_as_by_the_formula(scene):
-    pair, view, ground, _, alike = scene
+    pair, view, ground, alike = scene
     fit, rules = regions._fitted(alike, view, regions.KnownGround()), moving_plane.Rules()
     priors = []
     blocks = (alike.x, alike.block, alike.members, alike.first)
@@ -122,7 +121,7 @@ def test_each_surface_is_settled_as_by_the_formula(scene):
 
 
 def test_only_regions_that_there_are_are_settled(scene):
-    pair, view, ground, _, alike = scene
+    pair, view, ground, alike = scene
     fit = regions._fitted(alike, view, regions.KnownGround())
     blocks = (alike.x, alike.block, alike.members, alike.first)
     with pytest.raises(ValueError, match='settle_surface: there must be such a region'):
@@ -133,7 +132,7 @@ def test_only_regions_that_there_are_are_settled(scene):
 
 
 def test_regions_are_scored_as_by_the_formula(scene):
-    pair, view, ground, _, alike = scene
+    pair, view, ground, alike = scene
     ground = ground if np.any(ground) else None
     known = regions.KnownGround(ground, np.array([0.0, -1.0, 0.0]))
     fit = regions._fitted(alike, view, known)
@@ -145,7 +144,7 @@ def test_regions_are_scored_as_by_the_formula(scene):
 
 
 def test_moving_regions_grow_as_by_the_formula(scene, rng):
-    pair, view, _, _, alike = scene
+    pair, view, _, alike = scene
     moving = np.argsort(-alike.size)[:3]
     products = rng.normal(0, 0.01, (3, 3, 3))
     members, first = compiled.grown(pair, alike, moving, products, view, regions.RULES)
@@ -179,7 +178,7 @@ def test_histories_follow_the_vectors_as_by_the_formula(rng):
 
 
 def test_regions_sum_their_better_halves_and_keep_the_id_of_most(scene, rng):
-    pair, _, _, _, alike = scene
+    pair, _, _, alike = scene
     n, size = len(pair.x), len(alike.first)
     given = np.where(rng.uniform(size=n) < 0.4, rng.normal(size=n), np.nan)
     before = History(given, -given, np.where(rng.uniform(size=n) < 0.4, rng.integers(3, 5, n), -1))

@@ -2,7 +2,7 @@
 
 from drawn_movers import CAMERA_HEIGHT, Drive, DT, K, Mover
 from formulas import fit_moving_plane, time_to_contact
-from mv_slapse.geometry import moving_plane
+from mv_slapse.geometry.moving_plane import homography
 from mv_slapse.movers.moving_plane import fit_surfaces, Regions, View
 from mv_slapse.records import ScalePrior
 import numpy as np
@@ -63,7 +63,7 @@ def test_product_is_exact_without_noise(case):
     truth = case.truth()
     fit = case.fit()
     R, x = case.R, np.c_[case.x, np.ones(len(case.x))]
-    x_prev = x @ moving_plane.homography(fit.product, K, R).T
+    x_prev = x @ homography(fit.product, K, R).T
     np.testing.assert_allclose(x_prev[:, :2] / x_prev[:, 2:], case.exact, atol=0.02)
     np.testing.assert_allclose(fit.product @ [*fit.centre, 1],
                                np.outer(case.t - truth[3:], truth[:3]) @ [*fit.centre, 1],

@@ -8,7 +8,6 @@ from mv_slapse.records import CameraMotion, Extraction, Label, MotionStatus, Seg
 from mv_slapse.simulation.drawn import draw
 from mv_slapse.simulation.street import Street, StreetSettings
 import numpy as np
-import pytest
 
 K = np.array([[700.0, 0, 320], [0, 700, 180], [0, 0, 1]])
 GRID = np.stack(np.meshgrid(np.arange(7.5, 640, 16), np.arange(7.5, 360, 16)), -1).reshape(-1, 2)
@@ -24,13 +23,6 @@ def moved(motion, threshold):
         GRID.astype(np.float32), (GRID - off).astype(np.float32), np.full(n, 0.3, np.float32),
         np.full((n, 2), 16, np.uint8), np.zeros(n, np.int8), np.full(n, -1, np.int32)),
         Memory(), threshold, KnownGround())[0]
-
-
-@pytest.mark.parametrize('growth', [-0.1, 0.1])
-def test_a_car_near_by_is_one_region(growth):
-    found = moved(lambda x: growth * (x - (320, 235)), 10.0)
-    assert np.mean(found.label[CAR] == Label.MOVING) == 1.0
-    assert [plane.n_macroblocks for plane in found.planes] == [CAR.sum()]
 
 
 def test_what_parts_is_two_regions():

@@ -81,12 +81,6 @@ def test_what_two_short_pairs_show_counts_as_one_of_their_time():
     assert lifecycle.one_body(short) == pytest.approx(lifecycle.one_body(evidence([50] * 2)))
 
 
-def test_where_tracks_come_to_nothing_more_is_asked_for():
-    for false_starts, n in ((0.0, 2), (0.7, 2), (4.0, 3), (200.0, 4)):
-        assert lifecycle.confirms(evidence([50] * n), True, SETTINGS, false_starts)
-        assert not lifecycle.confirms(evidence([50] * (n - 1)), True, SETTINGS, false_starts)
-
-
 def test_unknown_scale_has_no_least_speed():
     assert lifecycle.confirms(evidence([50] * 4, speed=0.1), False, SETTINGS)
 
@@ -99,15 +93,6 @@ def test_old_evidence_does_not_confirm():
 def test_what_two_pairs_of_a_fast_stream_show_may_suffice():
     assert lifecycle.confirms(evidence([12, 12], nis=0.5, pair=2 * PAIR // 3), True, SETTINGS)
     assert not lifecycle.confirms(evidence([10, 10], nis=0.5), True, SETTINGS)
-
-
-@pytest.mark.parametrize(('case', 'ends'), [
-    (evidence([50] * 4, nis=60, overlap=0.4, speed=0.5), True),
-    (evidence([50] * 4, nis=60, overlap=0.4), False),
-    (evidence([50] * 4, speed=0.5), False),
-    (evidence([50], speed=0.5), False)], ids=['road', 'fast', 'one body', 'new'])
-def test_an_obstacle_dissolves_where_its_detections_are_no_body_and_rest(case, ends):
-    assert lifecycle.dissolves(case, 1.0, SETTINGS) == ends
 
 
 def test_half_a_second_at_rest_is_a_standstill():

@@ -1,6 +1,7 @@
 """State of an obstacle relative to the camera: definitions and Jacobians."""
 
 from mv_slapse.geometry import plane as planes
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import motion_model as om
 from numeric import jacobian
 import numpy as np
@@ -30,9 +31,9 @@ def random_covariance(rng, n=om.SIZE, scale=0.1):
 def test_from_cartesian_undoes_to_cartesian_at_any_scale_of_w(rng):
     mu = random_state(rng)
     cartesian, _ = om.to_cartesian(mu)
-    np.testing.assert_allclose(om.from_cartesian(cartesian)[0], mu)
+    np.testing.assert_allclose(compiled.obstacle_from_cartesian(cartesian)[0], mu)
     cartesian[6:] *= 7
-    np.testing.assert_allclose(om.from_cartesian(cartesian)[0], mu)
+    np.testing.assert_allclose(compiled.obstacle_from_cartesian(cartesian)[0], mu)
 
 
 def test_a_surface_may_turn_by_so_much_in_a_time(rng):
@@ -71,9 +72,9 @@ def test_jacobians_are_the_numerical_ones(rng):
     cartesian, to = om.to_cartesian(mu)
     np.testing.assert_allclose(to, jacobian(lambda m: om.to_cartesian(m)[0], mu), atol=1e-6,
                                rtol=1e-5)
-    np.testing.assert_allclose(om.from_cartesian(cartesian)[1],
-                               jacobian(lambda c: om.from_cartesian(c)[0], cartesian),
-                               atol=1e-6)
+    np.testing.assert_allclose(
+        compiled.obstacle_from_cartesian(cartesian)[1],
+        jacobian(lambda c: compiled.obstacle_from_cartesian(c)[0], cartesian), atol=1e-6)
 
 
 def test_noise_of_prediction_is_that_of_sampled_camera_speeds(rng):

@@ -129,21 +129,6 @@ def test_a_state_that_is_wrong_comes_back_and_one_wrong_detection_does_little(rn
     assert distances[-1] < 0.25
 
 
-def test_an_outline_that_jumps_is_believed_less(rng):
-    moment = Moment(0.5, rng)
-    item, shift = moment.detection, np.r_[0, 0, 0, 1.0, 0, 0, 0, 0]
-    beside = replace(item, x=item.x + (item.box[2], 0), z=item.z + shift)
-    changed = {}
-    for name, detection in (('same', replace(item, z=item.z + shift)), ('other', beside)):
-        track = moment.track()
-        for _ in range(3):
-            track.update(item, moment.extraction, moment.view, SETTINGS)
-        before = track.mu[3]
-        track.update(detection, moment.extraction, moment.view, SETTINGS)
-        changed[name] = track.mu[3] - before
-    assert 0 < changed['other'] < 0.5 * changed['same']
-
-
 def test_surfaces_of_one_vehicle_are_seen_about_the_middle_of_all_blocks(rng):
     moment = Moment(0.5, rng)
     whole, view = moment.detection, moment.view

@@ -83,7 +83,8 @@ def test_point_of_a_plane_is_on_it_in_the_world(pair, rng):
     view = view_of(*pair, None)
     plane, ray = np.array([0.02, 0.01, -0.1]), np.array([0.2, 0.1, 1.0])
     X = ray / -(plane @ ray)
-    assert view.plane_to_world(plane)[0] @ view.to_world(X) == pytest.approx(-1)
+    assert view.plane_to_world(plane)[0] @ (
+        view.R_world_from_cam @ X + view.t_world_from_cam) == pytest.approx(-1)
 
 
 def test_a_plane_through_the_origin_stays_finite(pair):

@@ -15,9 +15,9 @@ from mv_slapse.records import (
 )
 from mv_slapse.scene import plane_map as scene_map
 from mv_slapse.scene.filter import SceneFilter
-from mv_slapse.scene.input import stationary
 from mv_slapse.scene.progress import PATIENCE
 from mv_slapse.scene.scale.height import ENOUGH
+from mv_slapse.scene.update import stationary
 from numeric import jacobian
 import numpy as np
 import pytest

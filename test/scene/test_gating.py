@@ -78,7 +78,7 @@ def test_the_ground_is_named_where_it_is_seen(rng, state):
     extraction = replace(made_up.extraction(rng), planes=(wall, floor))
     assert scene_gate.ground_of(extraction, {8}) == 8
     assert scene_gate.ground_of(extraction, {wall.id}) is None
-    np.testing.assert_array_equal(scene_gate.ground_plane(extraction), floor.plane)
+    assert scene_gate.ground_seen(extraction) is floor
     without = replace(extraction, planes=(wall,))
     assert scene_gate.ground_of(without, {8}) is None
-    assert scene_gate.ground_plane(without) is None
+    assert scene_gate.ground_seen(without) is None

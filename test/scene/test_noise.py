@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import canyon
 from canyon import motion, views
-import made_up
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.records import Label, PlaneObservation
-from mv_slapse.scene import input as scene_input
-from mv_slapse.scene import state as scene_state
+from mv_slapse.records import Label
+from mv_slapse.scene import update as scene_update
 from mv_slapse.scene.filter import SceneFilter
-from mv_slapse.scene.noise import Dependence, HeightWander, measured
+from mv_slapse.scene.noise import Dependence, measured
 import numpy as np
 import pytest
 from scene_drive import Canyon, METRIC
@@ -60,37 +58,6 @@ def test_a_few_correspondences_tell_nothing():
     assert before.seen(few[:40], R, t) is before
 
 
-def after_pairs(departures, dt=0.1):
-    """Return the wander after pairs whose ground shows a baseline too long by these logs."""
-    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
-    state.current.t = np.array([0, 0, 1.0])
-    wander, settings = HeightWander(), SceneSettings(camera_height=1.6)
-    for log in departures:
-        ground = PlaneObservation(0, Label.STATIONARY, np.array([0, -np.exp(log) / 1.6, 0]),
-                                  np.eye(3), is_ground=True)
-        seen = replace(made_up.extraction(np.random.default_rng(0)), planes=(ground,),
-                       stamp=round(dt * 1e9), previous_stamp=0)
-        wander = wander.seen(state, seen, settings)
-    return wander, wander.lasting(settings), settings.camera_height_bias
-
-
-def test_a_height_that_stays_off_counts_as_an_error_that_lasts():
-    wander, lasting, least = after_pairs([0.1] * 100)
-    assert wander.mean == pytest.approx(0.1, rel=0.01)
-    assert lasting == pytest.approx(np.hypot(least, 0.1), rel=0.15)
-
-
-def test_heights_that_err_from_pair_to_pair_do_not_wander(rng):
-    _, lasting, least = after_pairs(rng.normal(0, 0.05, 200))
-    assert least <= lasting < np.hypot(least, 0.03)
-
-
-def test_without_a_known_height_nothing_wanders(rng):
-    wander = HeightWander()
-    state = scene_state.start(np.array([0, -1.0, 0]), 1.0, 0.1, 0.05)
-    assert wander.seen(state, made_up.extraction(rng), SceneSettings()) is wander
-
-
 @pytest.mark.parametrize('share', [0.0, 0.2])
 def test_vectors_around_movers_lean_so_that_a_turn_adds_up(share):
     """As much in each pair: the roll is as unsure as so many pairs make it, not their root."""
@@ -101,7 +68,7 @@ def test_vectors_around_movers_lean_so_that_a_turn_adds_up(share):
         estimate = filter_.step(replace(
             seen, label=np.where(rows, Label.MOVING, seen.label).astype(np.int8),
             plane_id=np.where(rows, -1, seen.plane_id).astype(np.int32)))[0]
-    rolling = METRIC.mover_bias * share * scene_input.stationary(seen)[0].roll_arm
+    rolling = METRIC.mover_bias * share * scene_update.stationary(seen)[0].roll_arm
     leaning = n * np.hypot(METRIC.vector_bias, rolling) / seen.K[0, 0]
     assert leaning < np.sqrt(estimate.pose_covariance[5, 5]) < leaning + 0.004
 

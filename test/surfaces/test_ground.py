@@ -229,12 +229,12 @@ def observed(depths, parallax):
     """Return right vectors that show some depths."""
     n = len(depths)
     pair = Pair(depths.rays, depths.rays, depths.x, np.full(n, 0.3), np.eye(3))
-    no, yes, flow = np.zeros(n, bool), np.ones(n, bool), np.c_[parallax, np.zeros(n)]
-    return BlockObservations(pair, np.zeros(n), depths.rho, depths.sigma, depths.sigma,
-                             depths.sigma, parallax, flow, yes, no, no, yes)
+    no, yes = np.zeros(n, bool), np.ones(n, bool)
+    return BlockObservations(pair, np.zeros(n), depths.rho, depths.sigma, depths.sigma, parallax,
+                             yes, no, no, yes)
 
 
-def surveyed(rng, prior, learns=True, turn=0.0, n=120):
+def surveyed(rng, prior, turn=0.0, n=120):
     """Return what `survey` makes of lone blocks, the second half of them wrong."""
     depths, surface, _ = road_depths(rng)
     lone = np.zeros(len(depths), bool)
@@ -247,7 +247,7 @@ def surveyed(rng, prior, learns=True, turn=0.0, n=120):
     depths = replace(depths, rho=rho)
     evidence = observed(depths, np.clip(500 * rho, 5, 50))
     result = ground.survey(evidence, depths.x, lone, prior, height.HeightBelief.blank(),
-                           Ride(np.eye(3)[2], turn, learns, 3.0))
+                           Ride(np.eye(3)[2], turn, 3.0))
     return *result, lone, wrong
 
 
@@ -258,13 +258,6 @@ def test_lone_blocks_on_the_road_are_told_from_wrong_ones(rng):
     assert not np.any(road & ~lone)
     assert road[wrong].mean() < 0.3
     assert (road.sum() - road[wrong].sum()) / 60 > 0.5
-
-
-def test_a_pair_that_cannot_be_trusted_teaches_nothing(rng):
-    belief, prior, road, *_ = surveyed(rng, FRESH, learns=False)
-    assert belief.spread > 1.5
-    assert prior is FRESH
-    assert not road.any()
 
 
 @pytest.mark.parametrize(('turn', 'learned'), [(0.02, True), (0.5, False)])
@@ -378,7 +371,7 @@ def test_cars_beside_the_road_do_not_teach_a_height_of_their_own(rng):
         depths = Depths(rays, rho * shape, sigma * shape, x + 500.0)
         belief, *_ = ground.survey(
             observed(depths, parallax), depths.x, none, replace(FRESH, tilt=0.01),
-            height.HeightBelief.blank(), Ride(np.eye(3)[2], 0.0, True, 3.0))
+            height.HeightBelief.blank(), Ride(np.eye(3)[2], 0.0, 3.0))
         spreads.append(belief.spread)
     assert spreads[0] < 0.6
     assert spreads[1] > 1.5

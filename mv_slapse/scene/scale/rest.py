@@ -24,8 +24,8 @@ def first_baseline(state: SceneState, extraction: Extraction, camera_height: flo
     if again:
         seen = np.linalg.norm(plane_in_camera(state, again[0].id))
         return float(np.linalg.norm(again[0].plane) / seen)
-    ground = scene_gate.ground_plane(extraction)
-    return 0.0 if ground is None else float(camera_height * np.linalg.norm(ground))
+    ground = scene_gate.ground_seen(extraction)
+    return 0.0 if ground is None else float(camera_height * np.linalg.norm(ground.plane))
 
 
 def supposed_baseline(extraction: Extraction, camera_height: float) -> float:

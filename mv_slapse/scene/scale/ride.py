@@ -11,9 +11,8 @@ from mv_slapse.changed import replace
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry.vector import norm
-from mv_slapse.records import CameraMotion, Extraction
+from mv_slapse.records import CameraMotion
 from mv_slapse.scene import observations as scene_observations
-from mv_slapse.scene.noise import HeightWander
 from mv_slapse.scene.observations import Observation
 from mv_slapse.scene.state import HEIGHT, N_LASTING, plane_in_camera, relative_motion, SceneState
 import numpy as np
@@ -44,16 +43,6 @@ class Ride:
     # (N_LASTING,): what errors that last have done to it, as shares of it; its own is one of them
     error: np.ndarray = field(default_factory=lambda: np.zeros(N_LASTING))
     sights: tuple[Sight, ...] = ()  # what the last pairs have shown
-    wander: HeightWander = HeightWander()
-
-    def known(self, settings: SceneSettings) -> SceneSettings:
-        """Return the settings with the height that is known, if none is given.
-
-        Nobody measured that one wrong: what is not known of it is in ``error``.
-        """
-        if settings.camera_height:
-            return settings
-        return replace(settings, camera_height=self.height, camera_height_bias=0.0)
 
     def scaled(self, factor: float) -> 'Ride':
         """Return it where every length is multiplied by a factor."""
@@ -62,12 +51,16 @@ class Ride:
         return replace(self, height=self.height * factor, sights=sights)
 
     def observations(self, ground: int, settings: SceneSettings) -> list[Observation]:
-        """Return what is known of a camera that rides above a plane of the map, if it does."""
-        known, lasting = self.known(settings), self.error.copy()
-        if not known.camera_height:
+        """Return what is known of a camera that rides above a plane of the map, if it does.
+
+        Of a height that is given how wrong it was measured lasts; of another what is in ``error``.
+        """
+        height, lasting = settings.camera_height or self.height, self.error.copy()
+        if not height:
             return []
-        lasting[HEIGHT] = np.hypot(lasting[HEIGHT], self.wander.lasting(known))
-        return scene_observations.mounted(ground, known, lasting)
+        if settings.camera_height:
+            lasting[HEIGHT] = settings.camera_height_bias
+        return scene_observations.mounted(ground, replace(settings, camera_height=height), lasting)
 
     def kept(self, state: SceneState, motion: CameraMotion) -> 'Ride':
         """Return it before an update by a pair, whose course may leave the ground."""
@@ -78,17 +71,12 @@ class Ride:
         sigma = np.sqrt(normal @ motion.covariance[3:, 3:] @ normal)
         return _released(state) if off > LEAP + 3 * sigma else self
 
-    def seen(self, state: SceneState, extraction: Extraction, ground: int | None,
-             settings: SceneSettings) -> 'Ride':
+    def seen(self, state: SceneState, ground: int) -> 'Ride':
         """Return it after an update by one more pair, whose ``ground`` is a plane of the map.
 
-        What the state does not know of a height that is taken becomes an error that lasts.
+        Whether the camera still, or at last, keeps to the ground. What the state does not know of
+        a height that is taken becomes an error that lasts.
         """
-        told = replace(self, wander=self.wander.seen(state, extraction, self.known(settings)))
-        return told if ground is None or settings.camera_height else told._judged(state, ground)
-
-    def _judged(self, state: SceneState, ground: int) -> 'Ride':
-        """Return it by whether the camera still, or at last, keeps to the ground."""
         depth, H = scene_observations.height_above(state, ground)
         sights = _last((*self.sights, _sight(state, ground, depth)), WAY * depth)
         off, swing, change = _departures(sights)

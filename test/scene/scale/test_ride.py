@@ -137,8 +137,6 @@ def test_a_new_unit_of_length_is_that_of_the_height_too():
     ride = Ride(2.0, sights=(sight,)).scaled(3.0)
     assert (ride.height, ride.sights[0].way) == (6.0, 3.0)
     assert ride.sights[0].height == pytest.approx(np.log(6.0))
-    assert ride.known(FREE).camera_height == 6.0
-    assert ride.known(METRIC) is METRIC
 
 
 def test_only_a_camera_that_rides_is_observed_to():

@@ -7,7 +7,6 @@ from mv_slapse.evaluation.consistency import unexplained_step
 from mv_slapse.records import MotionStatus, ScaleStatus, Speed, TrackingStatus
 from mv_slapse.scene.filter import SceneFilter
 from mv_slapse.scene.scale import speed as scene_speed
-from mv_slapse.scene.scale.speed_log import SpeedLog
 import numpy as np
 import pytest
 from scene_drive import Canyon, DT, METRIC, position_errors, SPEED, stamp
@@ -128,7 +127,7 @@ def test_after_a_rest_the_speed_tells_the_first_way():
 @pytest.mark.parametrize(('turn', 'speed', 'sigma'), [
     (0.0, 4.0, 0.02), (0.1, 4.0, np.hypot(0.02, 0.025)), (0.1, -2.0, np.hypot(0.02, 0.05))])
 def test_a_turn_widens_what_a_speed_tells(turn, speed, sigma):
-    log = SpeedLog()
+    log = scene_speed.SpeedLog()
     log.feed([Speed(0, speed), Speed(S // 2, speed)])
     way = scene_speed.distance(log, 0, S // 2, turn, FREE)
     assert way.length == pytest.approx(abs(speed) / 2)
@@ -136,7 +135,7 @@ def test_a_turn_widens_what_a_speed_tells(turn, speed, sigma):
 
 
 def test_a_speed_that_is_next_to_none_tells_nothing():
-    log = SpeedLog()
+    log = scene_speed.SpeedLog()
     log.feed([Speed(0, 0.04), Speed(S // 2, 0.04), Speed(S, 0.04)])
     assert scene_speed.distance(log, 0, S, 0.0, FREE) is None
     log.feed([Speed(3 * S // 2, 0.2), Speed(2 * S, 0.2)])

@@ -1,5 +1,5 @@
 from mv_slapse.records import Speed
-from mv_slapse.scene.scale.speed_log import HOLD, SpeedLog
+from mv_slapse.scene.scale.speed import HOLD, SpeedLog
 import numpy as np
 import pytest
 
