@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import formulas
-from mv_slapse.geometry import blocks, epipolar
+from mv_slapse.geometry import blocks, two_view
 from mv_slapse.geometry.blocks import grid_index, grid_shape
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.geometry.moving_plane import homography
@@ -34,7 +34,7 @@ def moving_regions(pair, view, ground, nearer, rules):
     focal, n = np.diag(view.K)[:2], len(pair.x)
     m = formulas.parallax(rays, before, focal, view.R)
     under = -(rays @ ground)
-    rho, per_pixel = epipolar.inverse_depth(rays, before, focal, view.R, view.t)
+    rho, per_pixel = two_view.inverse_depth(rays, before, focal, view.R, view.t)
     error = np.abs(formulas.epipolar_error(rays, before, focal, view.R, view.t)) / pair.sigma
     noise, length = per_pixel * pair.sigma, np.linalg.norm(m, axis=1)
     slack = 3 * noise + rules.on_ground * under

@@ -9,7 +9,7 @@ from mv_slapse.config import ExtractionSettings, USUAL_HEIGHT
 from mv_slapse.extraction import coarse
 from mv_slapse.extraction.pair_estimate import Found, labels, observations
 from mv_slapse.extraction.state import Memory
-from mv_slapse.geometry import epipolar, rotation, two_view
+from mv_slapse.geometry import rotation, two_view
 from mv_slapse.geometry.camera import Camera, undistort
 from mv_slapse.motion import (
     estimate,
@@ -246,7 +246,7 @@ class PlaneExtractor:
         """Return the blocks (N,) bool below the ground that is expected, none: too unsure."""
         if prior.spread > ground.FORGOTTEN:
             return np.zeros(len(pair), bool)
-        rho, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal,
+        rho, per_pixel = two_view.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal,
                                                 fit.R_cur_from_prev, fit.t_cur_from_prev)
         return possibly_dynamic.below(pair.rays_cur, rho, per_pixel * pair.sigma,
                                       prior.normal * prior.inverse_depth, prior.spread)

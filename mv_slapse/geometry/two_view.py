@@ -1,8 +1,13 @@
-"""Undistorted correspondences of a key frame pair, alone and with its motion."""
+"""Undistorted correspondences of a key frame pair, alone and with its motion.
+
+Motion as in [MVO]: X_cur = R X_prev + t, so x_cur^T F x_prev = 0 with F = K^-T [t]x R K^-1, (4).
+Rays are K^-1 x with last coordinate 1. Inverse depths are in units of 1/|t|.
+"""
 
 from dataclasses import dataclass
 
 from mv_slapse.geometry.vector import norm
+from mv_slapse.kernels.binding import compiled
 import numpy as np
 
 MAX_SPREAD = 0.2  # a depth's error, as a share of it, beyond which it tells nothing
@@ -54,3 +59,15 @@ def columns(pair: Pair, R, t) -> tuple:
     """Return a pair and its motion as the kernels take them."""
     return (pair.rays_cur, pair.rays_prev, pair.sigma, pair.focal, np.ascontiguousarray(R, float),
             np.ascontiguousarray(t, float))
+
+
+def inverse_depth(rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev):
+    """Inverse depth of each point in camera k and its sensitivity to the match.
+
+    From X_prev ~ R^T (x_cur - rho t): with y = R x_prev / z, rho (t_xy - y t_z) = x_cur - y,
+    solved along the epipolar line. Returns rho (N,), the depth along the optical axis, inverted
+    [1/|t|] (negative: behind the camera or moving), and |d rho / d x_prev| along the line (N,)
+    [1/|t|/px].
+    """
+    return compiled.inverse_depth(*(np.ascontiguousarray(array, float) for array in (
+        rays_cur, rays_prev, focal, R_cur_from_prev, t_cur_from_prev)))

@@ -6,7 +6,7 @@ import itertools
 
 from mv_slapse.blas import one_thread
 from mv_slapse.config import ObstacleSettings
-from mv_slapse.geometry import epipolar
+from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.obstacles import (
     association,
@@ -276,7 +276,7 @@ def _still_share(track, extraction, view):
                         & (extraction.label != Label.UNKNOWN.value))
     rays, before = (to_rays(view.K, x[at].astype(float)) for x in (extraction.x_cur,
                                                                    extraction.x_prev))
-    rho, per_pixel = epipolar.inverse_depth(rays, before, np.diag(view.K)[:2],
+    rho, per_pixel = two_view.inverse_depth(rays, before, np.diag(view.K)[:2],
                                             view.R_cur_from_prev, view.t_cur_from_prev)
     nearer, noise = np.exp(track.mu[2]) * np.array([rho, 2 * per_pixel * extraction.sigma[at]])
     stands = ((extraction.label[at] == Label.STATIONARY.value)

@@ -3,7 +3,7 @@
 from canyon import GRID, K, motion, MOTIONS, views
 import formulas
 from kernels.two_view_reference import epipolar_jacobian
-from mv_slapse.geometry import epipolar, rotation
+from mv_slapse.geometry import rotation, two_view
 from mv_slapse.geometry.camera import to_rays
 from numeric import jacobian
 import numpy as np
@@ -67,15 +67,15 @@ def test_derotated_points_at_infinity_do_not_move():
 
 
 def test_inverse_depth_is_the_true_one(exact):
-    rho, _ = epipolar.inverse_depth(to_rays(K, exact.x_cur), to_rays(K, exact.x_true), FOCAL,
+    rho, _ = two_view.inverse_depth(to_rays(K, exact.x_cur), to_rays(K, exact.x_true), FOCAL,
                                     exact.R, exact.t)
     np.testing.assert_allclose(rho, exact.rho, atol=1e-9)
 
 
 def test_inverse_depth_is_in_units_of_the_baseline(exact):
     rays = to_rays(K, exact.x_cur), to_rays(K, exact.x_true)
-    rho, per_pixel = epipolar.inverse_depth(*rays, FOCAL, exact.R, exact.t)
-    metric, metric_per_pixel = epipolar.inverse_depth(*rays, FOCAL, exact.R, 2.5 * exact.t)
+    rho, per_pixel = two_view.inverse_depth(*rays, FOCAL, exact.R, exact.t)
+    metric, metric_per_pixel = two_view.inverse_depth(*rays, FOCAL, exact.R, 2.5 * exact.t)
     np.testing.assert_allclose(2.5 * metric, rho, atol=1e-9)
     np.testing.assert_allclose(2.5 * metric_per_pixel, per_pixel)
 
@@ -84,7 +84,7 @@ def test_a_point_that_moves_against_the_flow_has_a_negative_depth():
     scene = views(*motion('sideways'))
     still = to_rays(K, scene.x_cur)
     behind = 2 * still - formulas.derotate(to_rays(K, scene.x_true), scene.R)
-    rho, _ = epipolar.inverse_depth(still, behind @ scene.R, FOCAL, scene.R, scene.t)
+    rho, _ = two_view.inverse_depth(still, behind @ scene.R, FOCAL, scene.R, scene.t)
     assert np.all(rho[scene.surface >= 0] < 0)
 
 
@@ -97,10 +97,10 @@ def test_depth_sensitivity_is_the_change_along_the_epipolar_line(exact):
     along = flow / np.maximum(np.hypot(*flow.T), 1e-9)[:, None]
 
     def depth(step):
-        return epipolar.inverse_depth(rays, to_rays(K, scene.x_true + step * along), FOCAL, R,
+        return two_view.inverse_depth(rays, to_rays(K, scene.x_true + step * along), FOCAL, R,
                                       exact.t)[0]
 
-    _, per_pixel = epipolar.inverse_depth(rays, to_rays(K, scene.x_true), FOCAL, R, exact.t)
+    _, per_pixel = two_view.inverse_depth(rays, to_rays(K, scene.x_true), FOCAL, R, exact.t)
     numerical = np.abs(depth(1e-4) - depth(-1e-4)) / 2e-4
     np.testing.assert_allclose(per_pixel[usable], numerical[usable], rtol=1e-5)
 
@@ -110,7 +110,7 @@ def test_inverse_depth_jacobian_is_the_numerical_one(exact):
     away = np.hypot(*(exact.x_true - exact.x_cur).T) > 3
 
     def depths(p):
-        return epipolar.inverse_depth(rays_cur, rays_prev, FOCAL, rotation.exp(p[:3]) @ exact.R,
+        return two_view.inverse_depth(rays_cur, rays_prev, FOCAL, rotation.exp(p[:3]) @ exact.R,
                                       exact.t + p[3:])[0][away]
 
     rho, J = formulas.inverse_depth_jacobian(rays_cur, rays_prev, FOCAL, exact.R, exact.t)
@@ -132,5 +132,5 @@ def test_at_the_epipole_and_without_translation_numbers_stay_finite():
     for x, t in ((at_epipole, np.array([0, 0, -1.0])), (GRID, np.zeros(3))):
         rays = to_rays(K, x)
         for result in (epipolar_jacobian(rays, rays, FOCAL, np.eye(3), t),
-                       epipolar.inverse_depth(rays, rays, FOCAL, np.eye(3), t)):
+                       two_view.inverse_depth(rays, rays, FOCAL, np.eye(3), t)):
             assert all(np.all(np.isfinite(part)) for part in result)

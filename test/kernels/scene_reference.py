@@ -3,7 +3,7 @@
 import formulas
 from formulas import plane_in_camera_jacobian, relative_motion_jacobian
 from kernels.two_view_reference import without_turn
-from mv_slapse.geometry import epipolar, rotation
+from mv_slapse.geometry import rotation, two_view
 from mv_slapse.scene import gauge as scene_gauge
 from mv_slapse.scene.observations import linearised
 from mv_slapse.scene.state import (
@@ -121,7 +121,7 @@ def dependence(pair, R, t, width):
 def depth_slope(pair, R, t, max_spread, relief):
     """Derivative (6,) of the mean log of inverse depth by (w, t)."""
     rho, J = formulas.inverse_depth_jacobian(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
-    _, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
+    _, per_pixel = two_view.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
     sigma = per_pixel * pair.sigma
     sure = sigma < max_spread * rho
     weight = 1 / (np.square(sigma[sure] / rho[sure]) + relief**2)

@@ -2,7 +2,7 @@
 
 from canyon import HEIGHT, K, motion, MOTIONS, views, WIDTH
 import formulas
-from mv_slapse.geometry import epipolar, plane, rotation
+from mv_slapse.geometry import plane, rotation, two_view
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.surfaces.block_map import columns, POLICY, WIDTHS
 from numeric import jacobian
@@ -66,7 +66,7 @@ def moved(points, R, t):
 def fused(points, pair, known, R, t):
     """Return the points after a pair."""
     points = moved(points, R, t)
-    rho, _ = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
+    rho, _ = two_view.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
     error = formulas.epipolar_error(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
     good = np.abs(error / pair.sigma) < POLICY['epsilon']
     turned = pair.rays_prev @ R[2]
@@ -238,7 +238,7 @@ def test_the_length_that_a_map_tells(name, rng):
     known[:, :2] *= (1 / 1.7, 1)  # the map's unit is 1.7 baselines
     known[rng.random(len(known)) < 0.1, 1] = np.inf
     pair = scene.pair
-    rho, per_pixel = epipolar.inverse_depth(pair.rays_prev, pair.rays_cur, pair.focal, scene.R.T,
+    rho, per_pixel = two_view.inverse_depth(pair.rays_prev, pair.rays_cur, pair.focal, scene.R.T,
                                             -scene.R.T @ scene.t)
     sure = np.isfinite(known[:, 1]) & (known[:, 0] > 0) & (per_pixel * pair.sigma < 0.3 * rho)
     n, length = compiled.told_length(columns(pair), known, scene.R, scene.t, 0.3)

@@ -6,7 +6,7 @@ from canyon import CANYON, motion, MOTIONS, views
 import formulas
 from kernels import motion_reference as reference
 from kernels import two_view_reference
-from mv_slapse.geometry import epipolar, rotation
+from mv_slapse.geometry import rotation, two_view
 from mv_slapse.motion import estimate, observations
 from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.surfaces import joint
@@ -76,7 +76,7 @@ def test_errors_and_depths_of_rays_of_any_length(scene, start, rng):
     prev = prev * rng.uniform(0.5, 2, len(prev))[:, None]
     np.testing.assert_allclose(formulas.epipolar_error(cur, prev, focal, *start),
                                reference.epipolar_error(cur, prev, focal, *start), atol=1e-9)
-    for found, expected in zip(epipolar.inverse_depth(cur, prev, focal, *start),
+    for found, expected in zip(two_view.inverse_depth(cur, prev, focal, *start),
                                reference.inverse_depth(cur, prev, focal, *start), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9)
 

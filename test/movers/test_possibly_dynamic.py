@@ -1,6 +1,6 @@
 """Which blocks tell nothing sure of the camera's motion, in scenes that one can check by hand."""
 
-from mv_slapse.geometry import epipolar
+from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.movers import possibly_dynamic
 from mv_slapse.records import (
@@ -28,7 +28,7 @@ def before(x, depth, moved=(0.0, 0.0, 0.0)):
 
 def depths_of(x, x_prev):
     rays = to_rays(K, x)
-    rho, per_pixel = epipolar.inverse_depth(rays, to_rays(K, x_prev), np.diag(K)[:2], np.eye(3),
+    rho, per_pixel = two_view.inverse_depth(rays, to_rays(K, x_prev), np.diag(K)[:2], np.eye(3),
                                             FORWARD)
     return rays, rho, 0.3 * per_pixel
 

@@ -91,5 +91,5 @@ PLANTED = tuple((f'mv_slapse/{path}', old, new, tests) for path, old, new, tests
     ('obstacles/motion_model.py', 'return -to_cartesian', 'return to_cartesian', OBSTACLE),
     ('obstacles/motion_model.py', '/ np.exp(mu[2])', '/ np.exp(-mu[2])', OBSTACLE),
     ('obstacles/motion_model.py', 'scene_covariance, nearer)', 'scene_covariance, 0.0)', OBSTACLE),
-    ('geometry/epipolar.py', 'return y / y[:, 2:]', 'return y', GEOMETRY),
+    ('geometry/plane.py', '/ (1 - rotated @', '/ (1 + rotated @', GEOMETRY),
 ))

@@ -1,8 +1,8 @@
 """A map of blocks that persists, on drawn drives through the canyon."""
 
 from canyon import CANYON, HEIGHT, K, motion, views, WIDTH
-from mv_slapse.geometry import epipolar, rotation
 from mv_slapse.geometry import plane as plane_geometry
+from mv_slapse.geometry import rotation, two_view
 from mv_slapse.geometry.rotation import exp
 from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.surfaces.block_map import BlockMap
@@ -159,7 +159,7 @@ def test_what_stands_still_is_foreseen_where_the_next_pair_shows_it(drive):
     told = np.isfinite(sigma)
     assert np.mean(told) > 0.5
     assert np.all(rho[~told] == 0)
-    own, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
+    own, per_pixel = two_view.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
     sure = told & (per_pixel * pair.sigma < 0.1 * own)
     off = (rho - own)[sure] / np.hypot(sigma, per_pixel * pair.sigma)[sure]
     assert np.median(np.abs(off)) < 1

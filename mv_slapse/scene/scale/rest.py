@@ -1,6 +1,6 @@
 """What stands in for a length where a camera has been at rest, or the ground is not seen yet."""
 
-from mv_slapse.geometry import epipolar
+from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import Extraction, Label
 from mv_slapse.scene import gating as scene_gate
@@ -36,7 +36,7 @@ def supposed_baseline(extraction: Extraction, camera_height: float) -> float:
     rays, before = (to_rays(extraction.K, x.astype(float))
                     for x in (extraction.x_cur, extraction.x_prev))
     motion, focal = extraction.motion, np.diag(extraction.K)[:2]
-    rho, _ = epipolar.inverse_depth(rays, before, focal, motion.R_cur_from_prev,
+    rho, _ = two_view.inverse_depth(rays, before, focal, motion.R_cur_from_prev,
                                     motion.t_cur_from_prev)
     across, down = np.abs(rays[:, 0]), rays[:, 1]
     road = (down > LOW) & (across < ROAD * down) & (rho > 0)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from canyon import K, motion, views
 from mv_slapse.config import SceneSettings
-from mv_slapse.geometry import epipolar, rotation, two_view
+from mv_slapse.geometry import rotation, two_view
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import CameraMotion, MotionStatus
 from mv_slapse.scene import state as scene_state
@@ -65,9 +65,9 @@ def test_a_motion_that_errs_makes_depths_wrong_by_what_their_slope_says():
     state.current = Pose(scene.R.T, -scene.R.T @ scene.t)
     depths = scene_ratio.depths_of(pair, wrong, replace(SceneSettings(), dependence=2.0))
     change = depths_change(depths, state)[0]
-    rho, per_pixel = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal,
+    rho, per_pixel = two_view.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal,
                                             wrong.R_cur_from_prev, scene.t)
-    true, _ = epipolar.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, scene.R, scene.t)
+    true, _ = two_view.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, scene.R, scene.t)
     sure = SIGMA * per_pixel < two_view.MAX_SPREAD * rho
     weight = 1 / (np.square(SIGMA * per_pixel / rho) + SceneSettings().relief**2)[sure]
     expected = weight @ np.log(true[sure] / rho[sure]) / weight.sum()
