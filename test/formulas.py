@@ -18,7 +18,8 @@ from mv_slapse.movers.moving_plane import (
     View,
 )
 from mv_slapse.records import SegmentKind
-from mv_slapse.scene.state import relative_motion
+from mv_slapse.scene.observations import Kind, Observation
+from mv_slapse.scene.state import HEIGHT, N_LASTING, relative_motion
 import numpy as np
 
 CELL = 8  # px, the smallest partition that decoders report
@@ -327,3 +328,14 @@ def relative_motion_jacobian(state):
     by_current[:3, :3], by_current[3:, 3:] = -np.eye(3), -state.current.R.T
     by_current[3:, :3] = skew(t_cp)
     return by_previous, by_current
+
+
+def camera_height(ground: int, height: float, sigma: float, lasting=0.0) -> Observation:
+    """Observe the camera's mean height [m] above the ground plane, known but for sigma [m].
+
+    ``lasting`` is what each lasting error does to it [m], (N_LASTING,); a float: what of it is
+    wrong for good.
+    """
+    error = np.zeros(N_LASTING)
+    error[slice(None) if np.ndim(lasting) else HEIGHT] = lasting
+    return Observation(Kind.CAMERA_HEIGHT, sigma, height, ground, error)

@@ -50,16 +50,13 @@ class Memory:
         return self.past.carried(blank.stamp, fit.R_cur_from_prev, fit.t_cur_from_prev, ratio.log)
 
     def log_ratio(self, blank: Extraction, ratio: BaselineRatio) -> tuple[float, float]:
-        """Return the logarithm of a pair's baseline over the last one, and its uncertainty."""
+        """Return the logarithm of a pair's baseline over the last one, and its uncertainty.
+
+        At an unchanged speed, where the pair does not tell it.
+        """
         if np.isfinite(ratio.sigma):
             return ratio.log, ratio.sigma
         if self.previous_stamp is None:
             return 0.0, ANY_RATIO
-        return self.steady(blank), STEADY_SIGMA
-
-    def steady(self, blank: Extraction) -> float:
-        """Return the logarithm of a pair's baseline over the last one at an unchanged speed."""
-        if self.previous_stamp is None:
-            return 0.0
         return float(np.log((blank.stamp - blank.previous_stamp)
-                            / (self.stamp - self.previous_stamp)))
+                            / (self.stamp - self.previous_stamp))), STEADY_SIGMA

@@ -145,7 +145,8 @@ def joined(group: Sequence[Detection], view: View) -> Detection:
     block = np.concatenate([item.block for item in group])
     box = box_of(x, block)
     # All is made anew: what is kept of the first one is the box of its blocks.
-    whole = dataclasses.replace(_moved(first, _centre(box, view)), x=x, block=block)
+    centre = to_rays(view.K, (box[:2] + box[2:] / 2)[None])[0, :2]
+    whole = dataclasses.replace(_moved(first, centre), x=x, block=block)
     whole.R[om.BEARING, om.BEARING] = bearing_covariance(box, block, view)
     return _on_ground(whole, view)
 
@@ -175,11 +176,6 @@ def _detection(plane, x, block, view, unit):
     z, R, edge = found
     return Detection(plane.id, z, R, plane.scale_prior is ScalePrior.GROUND_CONTACT, x, block,
                      plane.scale_prior, Edge(*edge.tolist()), plane.score)
-
-
-def _centre(box, view):
-    """Return the ray (2,) of a box's middle."""
-    return to_rays(view.K, (box[:2] + box[2:] / 2)[None])[0, :2]
 
 
 def bearing_covariance(box, block, view):

@@ -47,11 +47,21 @@ def ground_seen(extraction: Extraction) -> PlaneObservation | None:
 
 def distances(state: SceneState, extraction: Extraction,
               settings: SceneSettings) -> dict[int, float]:
-    """Return the squared distance of each known plane from the predicted state, by its id."""
+    """Return the squared Mahalanobis distance of each known plane seen to the map's, by its id.
+
+    The observation is plane_in_camera * |t|: two views know a plane only up to their baseline.
+    Infinite where there is no baseline.
+    """
     seen = [plane for plane in extraction.planes
             if plane.label == Label.STATIONARY and plane.id in state.planes]
-    found = squared_distances(state, seen, settings)
-    return dict(zip([plane.id for plane in seen], found.tolist(), strict=True))
+    ids = [plane.id for plane in seen]
+    shown = np.array([plane.plane for plane in seen]).reshape(-1, 3)
+    biased = settings.depth_bias * shown
+    noise = settings.depth_dependence * np.array([plane.covariance for plane in seen]).reshape(
+        -1, 3, 3) + biased[:, :, None] * biased[:, None]
+    found = compiled.scene_distances(*state.arrays, state.error.P, state.positions(ids), shown,
+                                     noise.reshape(-1, 9))
+    return dict(zip(ids, found.tolist(), strict=True))
 
 
 def holds_length(state: SceneState, length: float, sigma: float) -> bool:
@@ -62,19 +72,3 @@ def holds_length(state: SceneState, length: float, sigma: float) -> bool:
     value, H = log_baseline(state)
     variance = H @ state.error.total @ H + sigma**2
     return bool((value - np.log(length))**2 < RATIO_GATE * variance)
-
-
-def squared_distances(state: SceneState, seen: list[PlaneObservation],
-                      settings: SceneSettings) -> np.ndarray:
-    """Squared Mahalanobis distances (K,) between planes seen and the map's, in baselines.
-
-    The observation is plane_in_camera * |t|: two views know a plane only up to their baseline.
-    Infinite where there is no baseline.
-    """
-    shown = np.array([plane.plane for plane in seen]).reshape(-1, 3)
-    biased = settings.depth_bias * shown
-    noise = settings.depth_dependence * np.array([plane.covariance for plane in seen]).reshape(
-        -1, 3, 3) + biased[:, :, None] * biased[:, None]
-    return compiled.scene_distances(*state.arrays, state.error.P,
-                                    state.positions([plane.id for plane in seen]), shown,
-                                    noise.reshape(-1, 9))

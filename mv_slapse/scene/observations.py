@@ -9,7 +9,7 @@ from enum import IntEnum
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.scene.state import HEIGHT, N_LASTING, SceneState, SPEED
+from mv_slapse.scene.state import N_LASTING, SceneState, SPEED
 import numpy as np
 
 PAIR_HEIGHT = 1e-3  # share of the height by which a pair errs besides: crown and ruts
@@ -60,25 +60,14 @@ def mounted(ground: int, settings: SceneSettings, lasting: np.ndarray) -> list[O
     """Return what is known of a camera that is mounted on a ground vehicle.
 
     ``ground`` is the plane it drives on, ``lasting`` (N_LASTING,) what errors that last do to its
-    height, as shares of it.
+    height, as shares of it. The height swings about the mean that is observed, see
+    SceneState.heave.
     """
     height = settings.camera_height
-    return [camera_height(ground, height, PAIR_HEIGHT * height, lasting * height),
+    return [Observation(Kind.CAMERA_HEIGHT, PAIR_HEIGHT * height, height, ground,
+                        lasting * height),
             Observation(Kind.MOUNTING, settings.mounting_sigma, plane=ground),
             Observation(Kind.LEVEL_COURSE, settings.course_sigma)]
-
-
-def camera_height(ground: int, height: float, sigma: float,
-                  lasting: np.ndarray | float = 0.0) -> Observation:
-    """Observe the camera's mean height [m] above the ground plane, which sets the scale.
-
-    The height swings about its mean (see SceneState.heave); sigma is the error of one pair [m].
-    ``lasting`` is what each lasting error does to the height [m], (N_LASTING,); a float: what of
-    it is wrong for good.
-    """
-    error = np.zeros(N_LASTING)
-    error[slice(None) if np.ndim(lasting) else HEIGHT] = lasting
-    return Observation(Kind.CAMERA_HEIGHT, sigma, height, ground, error)
 
 
 def height_above(state: SceneState, ground: int) -> tuple[float, np.ndarray]:

@@ -20,7 +20,6 @@ def pair(previous, stamp):
 
 
 def test_at_an_unchanged_speed_the_baseline_grows_with_the_time():
-    assert MEMORY.steady(pair(200, 400)) == pytest.approx(np.log(2))
     assert MEMORY.log_ratio(pair(200, 400), BaselineRatio()) == (pytest.approx(np.log(2)), 0.15)
 
 

@@ -1,5 +1,7 @@
 """The scene's kernels against their formulas in numpy, on drawn states and pairs."""
 
+from types import SimpleNamespace
+
 from canyon import CANYON, K, motion, views
 import formulas
 from kernels import scene_reference as reference
@@ -51,7 +53,7 @@ def test_the_update_is_that_of_the_whole_state(rng, scene, state):
     depths = scene_ratio.Depths(R @ rotation.exp([0.001, 0, 0]), t / np.linalg.norm(t),
                                 rng.normal(size=6), 0.0)
     lasting = rng.normal(0, 1e-2, scene_state.N_LASTING)
-    observations = [scene_observations.camera_height(IDS[0], 1.7, 0.02, lasting),
+    observations = [formulas.camera_height(IDS[0], 1.7, 0.02, lasting),
                     Observation(Kind.MOUNTING, 0.02, plane=IDS[0]),
                     Observation(Kind.LEVEL_COURSE, 0.02),
                     scene_observations.baseline(1.02, 0.05, 0.01),
@@ -74,9 +76,9 @@ def test_distances_of_planes_seen_again(rng, state):
     settings = SceneSettings()
     seen = [PlaneObservation(id_, Label.STATIONARY, rng.normal(size=3), np.diag([0.1, 0.2, 0.3]))
             for id_ in (11, 4, 20)]
-    found = scene_gate.squared_distances(state, seen, settings)
+    found = scene_gate.distances(state, SimpleNamespace(planes=seen), settings)
     expected = [reference.squared_distance(state, plane, settings) for plane in seen]
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    np.testing.assert_allclose([*found.values()], expected, rtol=1e-9)
 
 
 def test_a_prediction_by_rows_is_that_by_the_whole_matrix(rng, state):

@@ -1,6 +1,7 @@
 """Which planes may correct the map, against a distance worked out numerically."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import made_up
 from mv_slapse.config import SceneSettings
@@ -39,7 +40,7 @@ def seen(state, offset=0.0, **changed):
 
 
 def distance_of(state, plane):
-    return scene_gate.squared_distances(state, [plane], SETTINGS).item()
+    return scene_gate.distances(state, SimpleNamespace(planes=[plane]), SETTINGS)[plane.id]
 
 
 def test_what_is_predicted_is_at_no_distance(state):

@@ -1,5 +1,6 @@
 """What is observed beside correspondences: derivative of each innovation, and its value."""
 
+import formulas
 from mv_slapse.scene import observations as scene_observations
 from mv_slapse.scene import state as scene_state
 from mv_slapse.scene.observations import Kind, linearised, Observation
@@ -11,8 +12,8 @@ from scene_drive import between_two_poses
 
 ROAD = 4
 OBSERVATIONS = {
-    'camera height': scene_observations.camera_height(ROAD, 1.65, 0.03),
-    'height wrong for good': scene_observations.camera_height(ROAD, 1.65, 0.03, 0.02),
+    'camera height': formulas.camera_height(ROAD, 1.65, 0.03),
+    'height wrong for good': formulas.camera_height(ROAD, 1.65, 0.03, 0.02),
     'mounting': Observation(Kind.MOUNTING, 0.01, plane=ROAD),
     'baseline': scene_observations.baseline(3.0, 1e-3),
     'speed wrong for good': scene_observations.baseline(3.0, 0.02, 0.01),

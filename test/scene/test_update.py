@@ -65,7 +65,7 @@ def without_pair(scene, state, *observations):
 
 
 def test_a_linear_observation_is_that_of_the_filter(rng, scene, state):
-    observation = scene_observations.camera_height(ROAD, 1.9, 0.3)
+    observation = formulas.camera_height(ROAD, 1.9, 0.3)
     innovation, H = scene_observations.linearised(observation, state)
     twin = ekf.State()
     twin.add('all', np.zeros(state.size), state.P)
@@ -81,7 +81,7 @@ def test_a_linear_observation_is_that_of_the_filter(rng, scene, state):
 
 def test_camera_height_sets_the_depth_of_the_road(rng, scene):
     state = state_before(scene, rng)
-    found = without_pair(scene, state, scene_observations.camera_height(ROAD, 1.65, 1e-5))
+    found = without_pair(scene, state, formulas.camera_height(ROAD, 1.65, 1e-5))
     depth = 1 / np.linalg.norm(scene_state.plane_in_camera(found, ROAD))
     assert depth == pytest.approx(1.65, abs=1e-4)
 
@@ -218,7 +218,7 @@ def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
         state = state_before(scene, np.random.default_rng(1))
         found = scene_update.update(
             state, np.zeros(state.size), pair, (scene.surface, IDS), settings,
-            [scene_observations.camera_height(ROAD, height, 0.03, 0.02),
+            [formulas.camera_height(ROAD, height, 0.03, 0.02),
              scene_observations.baseline(length * np.exp(faster), 0.02, 0.01)])
         return state.error_to(found)[6:12], found
 
