@@ -185,13 +185,16 @@ def run(node_type: Callable[[], Node], args: list[str] | None = None) -> int:
     The signals are Python's here, not rclpy's: they only ask the loop to end, so that nothing is
     torn down under a callback's hands.
     """
-    code = stand_by(sys.argv if args is None else args)
+    code, place = stand_by(sys.argv if args is None else args)
     if code is not None:
         return code
     node, executor, stop = None, None, _Stop()
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        if not rclpy.ok():
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = node_type()
+        if place is not None:  # The node has taken it.
+            place.destroy_node()
         # What there is by now stays: a full garbage collection would look through it for 30 ms.
         gc.freeze()
         executor = SupervisedExecutor(node.escaped)
