@@ -36,6 +36,7 @@ from mv_slapse.records import (
 )
 import numpy as np
 
+USED_IDS = 10_000  # remembered, so that none is given twice: half an hour of 5 new ones a second
 OWN_IDS = 1_000_000  # ids from here on are given where a plane's id is another track's already
 STARTS_MEMORY = 5.0  # [s] over which tracks that come to nothing are counted
 SAME_DEPTH = 2.0  # times an obstacle's depth, or a share of it, that still is where it was
@@ -52,7 +53,7 @@ class ObstacleTracker:
         self._waiting: dict[int, PlaneHandover] = {}
         self._scene: SceneEstimate | None = None
         self._view: View | None = None
-        self._used: set[int] = set()
+        self._used: dict[int, None] = {}  # ids, the newest last
         self._next_id = OWN_IDS
         self._false_starts = 0.0
 
@@ -255,8 +256,16 @@ class ObstacleTracker:
         self._count(sum(not track.confirmed for track in ended))
         self._tracks = [track for track in self._tracks
                         if track not in given and track not in ended]
-        self._used |= {track.id for track in self._tracks}
+        self._remember_ids()
         return self._obstacles(extraction.stamp), handed
+
+    def _remember_ids(self):
+        """Note which ids are given; those that were not for longest are forgotten."""
+        for track in self._tracks:
+            self._used.pop(track.id, None)
+            self._used[track.id] = None
+        while len(self._used) > USED_IDS:
+            del self._used[next(iter(self._used))]
 
     def _count(self, failed):
         """Keep the rate of tracks that come to nothing [1/s]."""
