@@ -107,16 +107,13 @@ def repair(state: State) -> bool:
 
     Judged by its correlations, for the units of its elements differ.
     """
+    if compiled.is_covariance(state.P, ROUNDING):
+        return False
     sigma = np.sqrt(np.maximum(np.diagonal(state.P), 0))
     unit = np.where(sigma > 0, sigma, 1)
-    correlation = state.P / unit[:, None] / unit
-    try:
-        np.linalg.cholesky(correlation + ROUNDING * np.eye(len(unit)))
-        return False
-    except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(correlation)
-        state.P = _symmetric(unit[:, None] * (vectors * np.maximum(values, 0) @ vectors.T) * unit)
-        return True
+    values, vectors = np.linalg.eigh(state.P / unit[:, None] / unit)
+    state.P = _symmetric(unit[:, None] * (vectors * np.maximum(values, 0) @ vectors.T) * unit)
+    return True
 
 
 def squared_distance(innovation: np.ndarray, S: np.ndarray) -> float:

@@ -78,7 +78,9 @@ def pose_to_odom(world_from_cam: Pose, frames: RosFrames) -> Pose:
     """Return the pose of the base in odom of a pose of the camera in {W}."""
     B, A = frames.R_base_from_cam, frames.R_odom_from_world
     lever = -world_from_cam.R @ (B.T @ frames.t_base_from_cam)  # from camera to base, in {W}
-    J = np.block([[A, -A @ skew(lever)], [np.zeros((3, 3)), A]])
+    J = np.zeros((6, 6))
+    J[:3, :3] = J[3:, 3:] = A
+    J[:3, 3:] = -A @ skew(lever)
     return Pose(A @ world_from_cam.R @ B.T,
                 A @ (world_from_cam.t + lever) + frames.t_odom_from_world,
                 J @ world_from_cam.covariance @ J.T)
@@ -137,7 +139,8 @@ def normal_depth_to_odom(normal: np.ndarray, depth: float, covariance: np.ndarra
                          frames: RosFrames) -> tuple[np.ndarray, float, np.ndarray]:
     """Return normal (3,), depth and their covariance (4, 4) in odom of a plane of {W}."""
     R, t = frames.R_odom_from_world, frames.t_odom_from_world
-    J = np.block([[R, np.zeros((3, 1))], [-t @ R, np.ones((1, 1))]])
+    J = np.zeros((4, 4))
+    J[:3, :3], J[3, :3], J[3, 3] = R, -t @ R, 1
     moved = J @ np.r_[normal, depth]
     covariance = J @ covariance @ J.T
     # Along the normal there is none, which rounding would make less.

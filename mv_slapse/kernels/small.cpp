@@ -3,6 +3,8 @@
 #include "small.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <vector>
 
 #include "arrays.hpp"
 
@@ -42,6 +44,21 @@ py::object solved(const char* kernel, const py::object& A, const py::object& b, 
   return x.array();
 }
 
+// Whether a symmetric matrix is a covariance, but for rounding: no eigenvalue of its correlations
+// lies farther below zero.
+bool is_covariance(const py::object& P_, double rounding) {
+  constexpr auto kernel = "is_covariance";
+  const In<double> P(kernel, "P", P_, {ANY, ANY});
+  const auto n = P.size();
+  require(n == P.size(1), kernel, "P must be square");
+  std::vector<double> unit(n), correlation(n * n);
+  for (py::ssize_t i = 0; i < n; ++i) unit[i] = P(i, i) > 0 ? std::sqrt(P(i, i)) : 1.0;
+  for (py::ssize_t i = 0; i < n; ++i)
+    for (py::ssize_t j = 0; j < n; ++j)
+      correlation[i * n + j] = P(i, j) / unit[i] / unit[j] + (i == j ? rounding : 0.0);
+  return cholesky(correlation.data(), static_cast<int>(n));
+}
+
 }  // namespace
 }  // namespace kernels
 
@@ -62,6 +79,7 @@ void bind_small(kernels::py::module_& module) {
   module.def("cholesky_solve", [](const py::object& A, const py::object& b) {
     return solved("cholesky_solve", A, b, cholesky, cholesky_solve);
   });
+  module.def("is_covariance", is_covariance);
   module.def("ldlt_solve", [](const py::object& A, const py::object& b) {
     return solved("ldlt_solve", A, b, ldlt, ldlt_solve);
   });

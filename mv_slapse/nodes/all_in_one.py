@@ -16,7 +16,6 @@ from mv_slapse.nodes.decoding import Decoding
 from mv_slapse.nodes.extrinsics import Extrinsics
 from mv_slapse.nodes.gate import Gate
 from mv_slapse.nodes.handovers import Handovers
-from mv_slapse.nodes.health import every
 from mv_slapse.nodes.known_place import KnownPlace
 from mv_slapse.nodes.obstacle_output import ObstacleOutput
 from mv_slapse.nodes.placement import Placement
@@ -51,7 +50,7 @@ class AllInOneNode(Shell):
         self._placement = Placement(self)
         self._known = KnownPlace(self, self._placement)
         self._gate = Gate(self._is_ready, self._step, HELD)
-        every(self, 0.1, lambda: self.attempt('video', self._gate.drain))
+        self.keep_draining('video', self._gate)
         self._decoding = Decoding(self, self._take, self._on_camera)
 
     def restart(self):

@@ -25,8 +25,7 @@ FOCAL = np.array([0.05, 1000.0])  # bounds of a focal length, in sides of the pi
 def to_message(message_type: type, values: dict[str, Any]) -> Any:
     """Return a message whose fields hold the values, nested as ``mv_slapse.fields`` gives them."""
     msg = message_type()
-    for name, value in values.items():
-        setattr(msg, name, _entry(message_type, name, getattr(msg, name), value))
+    _fill(msg, values)
     return msg
 
 
@@ -71,9 +70,17 @@ def column(typecode: str, values: np.ndarray) -> array:
     return entry
 
 
+def _fill(msg: Any, values: dict[str, Any]):
+    """Give a message its values; a message inside it is there already, and its own."""
+    for name, value in values.items():
+        default = getattr(msg, name)
+        if isinstance(value, dict):
+            _fill(default, value)
+        else:
+            setattr(msg, name, _entry(type(msg), name, default, value))
+
+
 def _entry(message_type: type, name: str, default: Any, value: Any) -> Any:
-    if isinstance(value, dict):
-        return to_message(type(default), value)
     if isinstance(default, array):
         return column(default.typecode, value)
     if isinstance(default, np.ndarray):

@@ -9,7 +9,6 @@ from mv_slapse.nodes import overload
 from mv_slapse.nodes.extrinsics import Extrinsics
 from mv_slapse.nodes.gate import Gate
 from mv_slapse.nodes.handovers import Handovers
-from mv_slapse.nodes.health import every
 from mv_slapse.nodes.obstacle_output import ObstacleOutput
 from mv_slapse.nodes.qos import LATCHED, RELIABLE, subscribe
 from mv_slapse.nodes.scene_join import continues, SceneJoin, SceneMemory
@@ -38,7 +37,7 @@ class ObstacleTrackerNode(Shell):
         self._gate = Gate(self._is_ready, self._step, HELD)
         self._join = SceneJoin(self._gate, lambda: self.health.count('observations dropped'))
         self.restart()
-        every(self, 0.1, lambda: self.attempt('obstacles', self._gate.drain))
+        self.keep_draining('obstacles', self._gate)
         self._subscribe(PlaneObservations, 'planes/observations', self._take_observations,
                         'start the plane_extraction node in the same namespace')
         self._subscribe(Odometry, 'odometry', self._take_odometry,

@@ -10,7 +10,6 @@ from mv_slapse.nodes import overload
 from mv_slapse.nodes.camera_input import CameraInput
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.gate import Gate
-from mv_slapse.nodes.health import every
 from mv_slapse.nodes.numbering import Numbering
 from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.shell import run, Shell
@@ -33,7 +32,7 @@ class PlaneExtractionNode(Shell):
                                                 RELIABLE)
         self._numbering = Numbering(self)
         self._gate = Gate(self._is_ready, self._extract, HELD)
-        every(self, 0.1, lambda: self.attempt(TOPIC, self._gate.drain))
+        self.keep_draining(TOPIC, self._gate)
         self._camera = CameraInput(self, self._on_camera)
         self.health.watch(TOPIC, 'start the decoder node in the same namespace')
         subscribe(self, Correspondences, TOPIC, self.guarded(TOPIC, Correspondences, self._take))

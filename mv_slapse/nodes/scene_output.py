@@ -7,6 +7,7 @@ from mv_slapse import fields, view_fields
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import bounded_covariance, stamp_to_msg, to_message
 from mv_slapse.nodes.extrinsics import tf_message_type
+from mv_slapse.nodes.health import every
 from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.qos import is_heard, LATCHED, RELIABLE
 from mv_slapse.nodes.settings import FrameSettings, SceneOutputSettings
@@ -20,7 +21,8 @@ from visualization_msgs.msg import MarkerArray
 
 STATES = {'initialising': TrackingStatus.INITIALISING, 'predicted': TrackingStatus.PREDICTED,
           'lost': TrackingStatus.LOST}
-LATCHED_PERIOD = 1_000_000_000  # [ns] between two latched messages while nobody listens
+LATCHED_PERIOD = 1_000_000_000  # [ns] between two latched maps while nobody listens
+LOOK = 1.0  # [s] between two looks whether somebody wants markers where no pictures come
 
 
 class SceneOutput:
@@ -46,6 +48,7 @@ class SceneOutput:
         else:
             self._tf = node.create_publisher(self._tf_type, '/tf', RELIABLE)
         self.restart()
+        every(node, LOOK, self._publish_markers)
 
     @property
     def _settings(self) -> SceneOutputSettings:
@@ -54,7 +57,8 @@ class SceneOutput:
     def restart(self):
         """Forget the path."""
         self._poses: deque[PoseStamped] = deque(maxlen=self._settings.path_length)
-        self._path_due = self._map_due = self._markers_due = self._anew = 0
+        self._path_due = self._map_due = self._anew = 0
+        self._unshown: tuple[SceneEstimate, RosFrames] | None = None
         self._began: tuple[int, int] | None = None  # resets, and the stamp of the last [ns]
         self._shown = view_fields.MarkerBoard(
             self._node.settings[FrameSettings].odom_frame)
@@ -71,7 +75,8 @@ class SceneOutput:
             self._map_due = scene.stamp + LATCHED_PERIOD
             self._map.publish(to_message(PlaneMap, fields.plane_map_to_fields(
                 scene, frames, *beginning)))
-        self._publish_markers(scene, frames)
+        self._unshown = scene, frames
+        self._publish_markers()
         self._report(scene)
 
     def _beginning(self, stamp: int) -> tuple[int, int]:
@@ -118,11 +123,11 @@ class SceneOutput:
         path.header.frame_id, path.header.stamp = frames.odom, stamp_to_msg(scene.stamp)
         self._path.publish(path)
 
-    def _publish_markers(self, scene: SceneEstimate, frames: RosFrames):
-        """Publish markers for who looks, and each second for who looks later."""
-        if not is_heard(self._markers) and scene.stamp < self._markers_due:
+    def _publish_markers(self):
+        """Publish the newest markers once somebody looks, also where no more pictures come."""
+        if self._unshown is None or not is_heard(self._markers):
             return
-        self._markers_due = scene.stamp + LATCHED_PERIOD
+        (scene, frames), self._unshown = self._unshown, None
         self._markers.publish(to_message(MarkerArray, self._shown.show(
             scene.stamp, view_fields.plane_markers(scene, frames))))
 

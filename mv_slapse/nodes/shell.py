@@ -11,7 +11,8 @@ from typing import Any
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.message_checks import InvalidMessage
 from mv_slapse.nodes import parameters
-from mv_slapse.nodes.health import Health, SILENCE
+from mv_slapse.nodes.gate import Gate
+from mv_slapse.nodes.health import every, Health, SILENCE
 from mv_slapse.nodes.latency import Latency
 from mv_slapse.nodes.settings import NODE_SETTINGS
 from mv_slapse.nodes.standby import stand_by
@@ -27,6 +28,7 @@ from std_srvs.srv import SetBool, Trigger
 
 POLL = 0.5  # [s] at most between a signal and its effect, beside the callback that runs
 END_TIME = 5.0  # [s] after which a process that cannot end is ended, as ros2 launch waits as long
+DRAINING = 0.1  # [s] between two looks whether what is held back can be passed on
 SPARING = 5.0  # [s] between two lines of one kind in the log
 RCLError = rclpy_implementation.RCLError
 
@@ -98,6 +100,16 @@ class Shell(Node):
             callback(_message(data, message_type))
 
         return on_bytes
+
+    def keep_draining(self, part: str, gate: Gate):
+        """Ask again and again whether a gate is open, until it has opened: each time costs."""
+        def drain():
+            """Ask, and be called no more."""
+            self.attempt(part, gate.drain)
+            if gate.is_done:
+                timer.cancel()
+
+        timer = every(self, DRAINING, drain)
 
     def attempt(self, part: str, callback: Callable[..., Any], *args: Any,
                 recover: Callable[[], None] | None = None, proves: bool = False) -> Any:
@@ -185,13 +197,16 @@ def run(node_type: Callable[[], Node], args: list[str] | None = None) -> int:
     The signals are Python's here, not rclpy's: they only ask the loop to end, so that nothing is
     torn down under a callback's hands.
     """
-    code = stand_by(sys.argv if args is None else args)
+    code, place = stand_by(sys.argv if args is None else args)
     if code is not None:
         return code
     node, executor, stop = None, None, _Stop()
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        if not rclpy.ok():
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = node_type()
+        if place is not None:  # The node has taken it.
+            place.destroy_node()
         # What there is by now stays: a full garbage collection would look through it for 30 ms.
         gc.freeze()
         executor = SupervisedExecutor(node.escaped)

@@ -8,7 +8,6 @@ from mv_slapse.nodes.archive import Archive
 from mv_slapse.nodes.extrinsics import Extrinsics
 from mv_slapse.nodes.gate import Gate
 from mv_slapse.nodes.handovers import Handovers
-from mv_slapse.nodes.health import every
 from mv_slapse.nodes.known_place import KnownPlace
 from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.qos import RELIABLE, subscribe
@@ -36,7 +35,7 @@ class SlamNode(Shell):
         self._known = KnownPlace(self, self._placement)
         self._gate = Gate(self._is_ready, self._step, HELD)
         self.restart()
-        every(self, 0.1, lambda: self.attempt(TOPIC, self._gate.drain))
+        self.keep_draining(TOPIC, self._gate)
         self.health.watch(TOPIC, 'start the plane_extraction node in the same namespace')
         subscribe(self, PlaneObservations, TOPIC,
                   self.guarded(TOPIC, PlaneObservations, self._take), RELIABLE)

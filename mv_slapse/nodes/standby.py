@@ -1,78 +1,138 @@
 """A process that has everything loaded, and forks the node again when a signal ended it.
 
 Loading Python, numpy and the middleware takes four fifths of a node's start, some second of CPU
-time. A process that stays behind with all of it loaded, and has no part in ROS itself, has the
-next one at work in the rest.
+time. A process stays behind with all of it loaded, and has no part in ROS itself. One that it has
+forked waits to be the next node, as a participant that all others know by now: Fast DDS announces
+a participant before it can hear, others answer its first announcement only, and who has not heard
+that answer knows nothing of them until they announce themselves again, up to 3 s later. Nor does
+it have the ports of the killed one, whose shared memory others go on writing to.
 """
 
-from contextlib import closing, suppress
+from contextlib import suppress
 import ctypes
+import faulthandler
 import gc
 import os
-from pathlib import Path
+import select
 import signal
-import socket
 import sys
-import tempfile
 import time
 
+import rclpy
 from rclpy.logging import get_logger
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.type_support import check_for_type_support
 from rclpy.utilities import get_rmw_implementation_identifier
 
 OPTION = '--standby'
 DELAY = 0.1  # [s] before it is started again, so that one that cannot live does not spin
+PLACE = '_mv_slapse_'  # of the hidden node, before the process' number
+END_TIME = 2.0  # [s] after which one that waited, and cannot end, is ended
+CALM = 3.0  # [s] before the next one takes part in ROS, so that the node itself starts first
 PR_SET_PDEATHSIG = 1
 SIGNALS = signal.SIGINT, signal.SIGTERM
-FAST_DDS = 'rmw_fastrtps_cpp'
-PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'  # the variable, and the file that is read without it
-PROFILES_HERE = 'DEFAULT_FASTRTPS_PROFILES.xml'
-PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
-<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
-<participant profile_name="mv_slapse" is_default_profile="true">
-<rtps><participantID>{}</participantID></rtps></participant></profiles></dds>
-"""
-# Of the 32 that rmw_fastrtps looks for where ROS_AUTOMATIC_DISCOVERY_RANGE is LOCALHOST: two
-# beyond would never find each other. Those that start take the first ones.
-PARTICIPANTS = range(16, 32)
 
 
-def stand_by(words: list[str]) -> int | None:
-    """Where the words of the command line say so, fork; return None in what is to be the node.
+def stand_by(words: list[str]) -> tuple[int | None, Node | None]:
+    """Where the words of the command line say so, fork; return no code in what is to be the node.
 
     The process left behind returns the node's exit code once it has ended by itself, or after a
-    signal to end, which is handed on. A node that another signal ended is forked again.
+    signal to end, which is handed on. A node that another signal ended is followed by the one that
+    waits. That may be in ROS by then, with the node that is returned, which holds its place.
     """
     if OPTION not in words:
-        return None
-    middleware = get_rmw_implementation_identifier()  # loads it
+        return None, None
+    get_rmw_implementation_identifier()  # loads it
+    load_type_supports()
     gc.freeze()  # else the first collection copies every page that is shared
-    code = 0
-    left, number, ports = _Left(), os.getpid(), Ports(middleware)
-    while not left.is_asked_to_end:
-        left.child = os.fork()
-        if not left.child:
-            return _begin(number)
+    code, left, number = 0, _Left(), os.getpid()
+    follower = _Follower()
+    while follower.number and not left.is_asked_to_end:
+        left.child = follower.number
+        follower.begin()
         left.hand_on()
-        code = os.waitstatus_to_exitcode(os.waitpid(left.child, 0)[1])
-        left.child = 0
-        if code >= 0 or left.is_asked_to_end:
-            break
-        get_logger('mv_slapse').error(
-            f'{signal.Signals(-code).name} has ended the node, it is started again')
-        time.sleep(DELAY)
-        ports.change()
-    ports.close()
-    return max(code, 0)
+        follower = _Follower()
+        if follower.number:
+            code = os.waitstatus_to_exitcode(os.waitpid(left.child, 0)[1])
+            left.child = 0
+            if code >= 0 or left.is_asked_to_end:
+                break
+            get_logger('mv_slapse').error(
+                f'{signal.Signals(-code).name} has ended the node, it is started again')
+            time.sleep(DELAY)
+    if not follower.number:
+        return None, follower.wait(words, number)
+    follower.end()
+    return max(code, 0), None
 
 
-def _begin(parent: int) -> None:
-    """Be the node: end with the process left behind, and hear of Ctrl-C from it alone."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_DFL)
-    os.setpgid(0, 0)
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:
-        sys.exit(1)
+def load_type_supports():
+    """Load what the first publisher of each type would load: most of what a node takes then."""
+    for name in [name for name in sys.modules if name.endswith(('.msg', '.srv'))]:
+        for item in list(vars(sys.modules[name]).values()):
+            if hasattr(type(item), '__import_type_support__'):
+                check_for_type_support(item)
+
+
+class _Follower:
+    """A process that is forked when this is made, and waits to be the node.
+
+    Attributes
+    ----------
+    number : int
+        Of the process; 0 in itself.
+    """
+
+    def __init__(self):
+        self._reader, self._writer = os.pipe()
+        self.number = os.fork()
+        os.close(self._reader if self.number else self._writer)
+
+    def begin(self):
+        """Let it be the node; one that was killed meanwhile is missed when it is waited for."""
+        with suppress(BrokenPipeError):
+            os.write(self._writer, b'.')
+        os.close(self._writer)
+
+    def end(self):
+        """Let it end, and wait for that."""
+        os.close(self._writer)
+        os.waitpid(self.number, 0)
+
+    def wait(self, words: list[str], parent: int) -> Node | None:
+        """Wait in the process itself until it is to be the node; it may end here.
+
+        It ends with the process left behind, and hears of Ctrl-C from that alone.
+        """
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_DFL)
+        os.setpgid(0, 0)
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() != parent:
+            sys.exit(1)
+        place = None
+        if not select.select([self._reader], [], [], CALM)[0]:
+            place = _place(words)
+        if os.read(self._reader, 1):
+            os.close(self._reader)
+            return place
+        faulthandler.dump_traceback_later(END_TIME, exit=True)
+        if place is not None:
+            place.destroy_node()
+        rclpy.try_shutdown()
+        os._exit(0)
+
+
+def _place(words: list[str]) -> Node | None:
+    """Take part in ROS with next to nothing, where that is allowed."""
+    try:
+        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+        return rclpy.create_node(f'{PLACE}{os.getpid()}', use_global_arguments=False,
+                                 enable_rosout=False, start_parameter_services=False)
+    except Exception as error:
+        get_logger('mv_slapse').warning(f'a node that is killed will be back late: {error}')
+        return None
 
 
 class _Left:
@@ -93,48 +153,3 @@ class _Left:
         if self._number and self.child:
             with suppress(ProcessLookupError):
                 os.kill(self.child, self._number)
-
-
-class Ports:
-    """Lets each node that is forked again have ports that none before it had.
-
-    Fast DDS gives it those of the killed one, whose shared memory the others go on writing to for
-    one to three seconds: so long it would hear nobody. A profile of the user's own is left alone.
-    """
-
-    def __init__(self, middleware: str):
-        self._is_needed = (middleware == FAST_DDS and PROFILES not in os.environ
-                           and not Path(PROFILES_HERE).exists())
-        self._next = os.getpid() % len(PARTICIPANTS)
-        self._path = None
-
-    def change(self):
-        """Choose the ports of the next process that is forked."""
-        order = *PARTICIPANTS[self._next:], *PARTICIPANTS[:self._next]
-        free = next(filter(is_free, order), None) if self._is_needed else None
-        if free is None:
-            return
-        self._next = (PARTICIPANTS.index(free) + 1) % len(PARTICIPANTS)
-        with suppress(OSError):  # without it the node comes as well, only later
-            if self._path is None:
-                file, self._path = tempfile.mkstemp('.xml', 'mv_slapse_')
-                os.close(file)
-            Path(self._path).write_text(PROFILE.format(free))
-            os.environ[PROFILES] = self._path
-
-    def close(self):
-        """Leave no file."""
-        if self._path is not None:
-            with suppress(OSError):
-                os.unlink(self._path)
-
-
-def is_free(participant: int) -> bool:
-    """Return whether nobody has the first port of a participant (RTPS 2.2, 9.6.1.1)."""
-    domain = int(os.environ.get('ROS_DOMAIN_ID') or 0)
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
-        try:
-            probe.bind(('', 7410 + 250 * domain + 2 * participant))
-        except (OSError, OverflowError):
-            return False
-    return True

@@ -37,9 +37,8 @@ class SupervisedExecutor(SingleThreadedExecutor):
         super().spin_once(timeout_sec)
 
     def can_execute(self, entity: Any) -> bool:
-        """Return whether an entity is waited for."""
-        is_due = self._looks or not isinstance(entity, EventHandler)
-        return is_due and super().can_execute(entity)
+        """Return whether an entity is waited for; in one thread none is at work then."""
+        return self._looks or not isinstance(entity, EventHandler)
 
     def _make_handler(self, entity, node, take_from_wait_list):
         """Wrap both halves of a callback, the taking of its data and the call."""

@@ -36,6 +36,7 @@ from mv_slapse.records import (
 )
 import numpy as np
 
+USED_IDS = 10_000  # remembered, so that none is given twice: half an hour of 5 new ones a second
 OWN_IDS = 1_000_000  # ids from here on are given where a plane's id is another track's already
 SAME_DEPTH = 2.0  # times an obstacle's depth, or a share of it, that still is where it was
 TENTATIVE_LIFETIME = 0.25  # [s] a track that is not yet confirmed may go without evidence
@@ -51,7 +52,7 @@ class ObstacleTracker:
         self._waiting: dict[int, PlaneHandover] = {}
         self._scene: SceneEstimate | None = None
         self._view: View | None = None
-        self._used: set[int] = set()
+        self._used: dict[int, None] = {}  # ids, the newest last
         self._next_id = OWN_IDS
 
     @one_thread
@@ -221,8 +222,16 @@ class ObstacleTracker:
         handed = [track.handover(extraction.stamp, self._view) for track in given]
         self._tracks = [track for track in self._tracks if track not in given
                         and not self._expired(track, extraction.stamp)]
-        self._used |= {track.id for track in self._tracks}
+        self._remember_ids()
         return self._obstacles(extraction.stamp), handed
+
+    def _remember_ids(self):
+        """Note which ids are given; those that were not for longest are forgotten."""
+        for track in self._tracks:
+            self._used.pop(track.id, None)
+            self._used[track.id] = None
+        while len(self._used) > USED_IDS:
+            del self._used[next(iter(self._used))]
 
     def _may_drive(self, track):
         """Tell whether an obstacle touches the ground, where there is one, and is no building."""

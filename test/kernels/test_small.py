@@ -48,3 +48,20 @@ def test_a_system_without_a_solution_gives_none():
     assert compiled.cholesky_solve(singular, np.ones(2)) is None
     assert compiled.ldlt_solve(singular, np.ones(2)) is None
     assert compiled.cholesky_solve(-np.eye(3), np.ones(3)) is None
+
+
+@pytest.mark.parametrize('least', [-1e-3, -1e-5, -1e-8, 1e-3])
+def test_a_covariance_is_told_by_the_eigenvalues_of_its_correlations(rng, least):
+    vectors = np.linalg.qr(rng.normal(size=(20, 20)))[0]
+    P = vectors * np.r_[least, rng.uniform(1, 2, 19)] @ vectors.T
+    unit = np.sqrt(np.diagonal(P))
+    correlation = P / unit[:, None] / unit
+    scale = 10.0 ** rng.uniform(-4, 4, 20)
+    good = np.linalg.eigvalsh(correlation)[0] > -1e-6
+    assert compiled.is_covariance(scale[:, None] * correlation * scale, 1e-6) == good
+    assert good == (least > -1e-6)
+
+
+def test_what_is_not_finite_is_no_covariance():
+    assert not compiled.is_covariance(np.full((3, 3), np.nan), 1e-6)
+    assert compiled.is_covariance(np.zeros((3, 3)), 1e-6)

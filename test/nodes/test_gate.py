@@ -1,4 +1,5 @@
 from mv_slapse.nodes.gate import Gate
+import pytest
 
 
 def test_calls_are_held_until_the_gate_opens_and_then_pass_in_order():
@@ -30,3 +31,26 @@ def test_what_is_cleared_does_not_pass():
     is_open.append(True)
     gate.drain()
     assert passed == []
+
+
+def test_it_is_done_once_it_has_opened_and_holds_nothing():
+    is_open, passed = [], []
+
+    def take(i):
+        """Fail at the first."""
+        passed.append(i)
+        if i == 1:
+            raise ValueError
+
+    gate = Gate(lambda *_: bool(is_open), take, 10)
+    assert not gate.is_done
+    gate(1)
+    gate(2)
+    assert not gate.is_done
+    is_open.append(True)
+    with pytest.raises(ValueError):  # noqa: PT011 (our own)
+        gate.drain()
+    assert not gate.is_done
+    gate.drain()
+    assert gate.is_done
+    assert passed == [1, 2]

@@ -2,12 +2,9 @@
 
 import os
 from pathlib import Path
-import re
 import signal
-import socket
 import subprocess
 import sys
-import tempfile
 import time
 
 import pytest
@@ -24,7 +21,6 @@ from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences  # noqa: E402
 from nodes import clips, fake_launch  # noqa: E402
-from rclpy.utilities import get_rmw_implementation_identifier  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker', 'all_in_one')
@@ -108,8 +104,19 @@ def cpu_of(number):
     return sum(map(int, words[11:13]))
 
 
-def child_of(process):
-    return int(Path(f'/proc/{process.pid}/task/{process.pid}/children').read_text() or 0)
+def children_of(process):
+    """Return the numbers of the node, and of the process that waits to follow it."""
+    text = Path(f'/proc/{process.pid}/task/{process.pid}/children').read_text()
+    return [int(number) for number in text.split()]
+
+
+def node_of(process):
+    """Return the number of the node once another one waits, else 0."""
+    return children_of(process)[0] if len(children_of(process)) == 2 else 0
+
+
+def is_in_ros(bench, number):
+    return f'{standby.PLACE}{number}' in names_of(bench.peer)
 
 
 @pytest.fixture
@@ -117,70 +124,61 @@ def standing(bench):
     """A node that is forked by a process left behind."""
     process = start('slam', more=['--standby'])
     try:
-        assert bench.spin(lambda: child_of(process) and 'slam' in names_of(bench.peer), 60)
+        assert bench.spin(lambda: node_of(process) and 'slam' in names_of(bench.peer), 60)
         yield process
     finally:
         process.kill()
         process.wait()
 
 
-def test_a_node_that_is_killed_is_there_again_without_loading_anything(bench, standing):
-    first = child_of(standing)
+def test_a_node_that_is_killed_is_followed_by_one_that_is_in_ros_by_then(bench, standing):
+    first, second = children_of(standing)
+    assert bench.spin(lambda: is_in_ros(bench, second), 30)
     os.kill(first, signal.SIGKILL)
-    assert bench.spin(lambda: child_of(standing) not in (0, first), 30)
-    second = child_of(standing)
+    assert bench.spin(lambda: node_of(standing) == second, 30)
     assert bench.spin(lambda: not Path(f'/proc/{first}').exists())
-    if get_rmw_implementation_identifier() == standby.FAST_DDS:
-        assert bench.spin(lambda: any(not standby.is_free(i) for i in standby.PARTICIPANTS), 30)
     client = bench.peer.create_client(Trigger, '/slam/reset')
     assert bench.spin(client.service_is_ready, 30)
+    assert bench.spin(lambda: not is_in_ros(bench, second))  # but as slam
     assert cpu_of(second) < 0.6 * cpu_of(standing.pid)  # a third is usual
+    third = children_of(standing)[1]
+    assert bench.spin(lambda: is_in_ros(bench, third), 30)
     standing.send_signal(signal.SIGTERM)
     said, _ = standing.communicate(timeout=20)
     assert standing.returncode == 0
     assert 'SIGKILL has ended the node, it is started again' in said
-    assert not Path(f'/proc/{second}').exists()
+    assert not any(Path(f'/proc/{number}').exists() for number in (second, third))
+    assert bench.spin(lambda: not is_in_ros(bench, third))  # it has taken its leave
 
 
-@pytest.fixture
-def no_profile(monkeypatch):
-    """What a test sets in its place is taken back as well."""
-    monkeypatch.setenv(standby.PROFILES, '')
-    monkeypatch.delenv(standby.PROFILES)
+def test_a_node_comes_again_where_the_one_that_was_to_follow_it_was_killed(bench, standing):
+    first, second = children_of(standing)
+    os.kill(second, signal.SIGKILL)
+    os.kill(first, signal.SIGKILL)
+    assert bench.spin(lambda: node_of(standing) not in (0, first, second), 30)
+    client = bench.peer.create_client(Trigger, '/slam/reset')
+    assert bench.spin(client.service_is_ready, 30)
+    stop([standing], signal.SIGINT)
 
 
-def test_each_that_is_forked_again_has_ports_that_none_before_it_had(
-        no_profile, monkeypatch, tmp_path):
-    monkeypatch.setenv('ROS_DOMAIN_ID', '91')
-    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path))
-    ports, chosen = standby.Ports(standby.FAST_DDS), []
-    for _ in range(3):
-        ports.change()
-        profile = Path(os.environ[standby.PROFILES]).read_text()
-        chosen.append(int(re.search(r'<participantID>(\d+)<', profile)[1]))
-        if len(chosen) == 1:  # the next one is another's
-            taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            taken.bind(('', 7410 + 250 * 91 + 2 * following(chosen[0])))
-    taken.close()
-    assert chosen[1:] == [following(following(chosen[0])), following(chosen[1])]
-    ports.close()
-    assert not list(tmp_path.iterdir())
-
-
-def following(participant):
-    order = standby.PARTICIPANTS
-    return order[(order.index(participant) + 1) % len(order)]
+def test_one_that_waits_ends_with_the_process_that_has_forked_it(standing):
+    numbers = children_of(standing)
+    standing.kill()
+    end = time.monotonic() + 20
+    while any(Path(f'/proc/{number}').exists() for number in numbers):
+        assert time.monotonic() < end
+        time.sleep(0.1)
 
 
 def test_two_that_were_forked_again_find_each_other(bench, standing):
     other = start('obstacle_tracker', more=['--standby'])
     try:
-        assert bench.spin(lambda: child_of(other) and 'obstacle_tracker' in names_of(bench.peer),
+        assert bench.spin(lambda: node_of(other) and 'obstacle_tracker' in names_of(bench.peer),
                           60)
-        killed = {process: child_of(process) for process in (standing, other)}
+        killed = {process: node_of(process) for process in (standing, other)}
         for number in killed.values():
             os.kill(number, signal.SIGKILL)
-        assert bench.spin(lambda: all(child_of(process) not in (0, number)
+        assert bench.spin(lambda: all(node_of(process) not in (0, number)
                                       for process, number in killed.items()), 30)
         said = {}
         bench.peer.create_subscription(DiagnosticArray, '/diagnostics', lambda msg: said.update(
@@ -190,26 +188,6 @@ def test_two_that_were_forked_again_find_each_other(bench, standing):
     finally:
         other.kill()
         other.wait()
-
-
-@pytest.mark.parametrize('own', ['variable', 'file', 'middleware'])
-def test_a_profile_of_the_users_own_is_left_alone(no_profile, monkeypatch, tmp_path, own):
-    monkeypatch.chdir(tmp_path)
-    if own == 'variable':
-        monkeypatch.setenv(standby.PROFILES, 'mine.xml')
-    elif own == 'file':
-        (tmp_path / standby.PROFILES_HERE).touch()
-    ports = standby.Ports('another' if own == 'middleware' else standby.FAST_DDS)
-    ports.change()
-    ports.close()
-    assert os.environ.get(standby.PROFILES) == ('mine.xml' if own == 'variable' else None)
-
-
-def test_a_node_does_not_outlive_the_process_left_behind(bench, standing):
-    node = child_of(standing)
-    standing.kill()
-    standing.wait()
-    assert bench.spin(lambda: not Path(f'/proc/{node}').exists(), 20)
 
 
 def test_what_ends_a_node_for_good_does_so_with_a_standby_too(ros_domain):

@@ -9,7 +9,7 @@ pytest.importorskip('mv_slapse_msgs')
 
 from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStamped  # noqa: E402
 import made_up  # noqa: E402
-from mv_slapse import fields  # noqa: E402
+from mv_slapse import fields, view_fields  # noqa: E402
 from mv_slapse.config import SceneSettings  # noqa: E402
 from mv_slapse.geometry.ros_frames import R_BODY_FROM_OPTICAL, RosFrames  # noqa: E402
 from mv_slapse.nodes.conversions import stamp_to_msg, to_message  # noqa: E402
@@ -291,6 +291,34 @@ def test_the_path_is_bounded(bench):
     feed(bench)
     assert bench.spin(lambda: len(paths) == N, 30)
     assert [len(path.poses) for path in paths] == [1, 2, 3, 3]
+
+
+def test_markers_are_made_for_who_looks_also_once_nothing_comes_any_more(bench, monkeypatch):
+    made = []
+    show = view_fields.MarkerBoard.show
+    monkeypatch.setattr(view_fields.MarkerBoard, 'show', lambda *args: (
+        made.append(args[1]) or show(*args)))
+    node = bench.start(Output)
+    stamps = 10**10, 2 * 10**10  # far more than a second apart
+    for stamp in stamps:
+        node.publish(made_up.scene(np.random.default_rng(0), stamp=stamp))
+    bench.spin(lambda: made, 1.5)
+    assert made == []
+    arrays = bench.listen(MarkerArray, 'planes/map_markers', LATCHED)
+    assert bench.spin(lambda: arrays)
+    assert made == [stamps[-1]]
+    assert arrays[0].markers[0].header.stamp.sec == 20
+    bench.spin(lambda: len(arrays) > 1, 1.5)
+    assert len(arrays) == 1
+
+
+def test_nobody_is_asked_for_what_is_held_back_once_it_has_passed(bench):
+    node = bench.start(SlamNode, **PARAMETERS)
+    timer, = (t for t in node.timers if t.timer_period_ns == 100_000_000)
+    bench.spin(timer.is_canceled, 0.3)
+    assert not timer.is_canceled()
+    feed(bench, 1)
+    assert bench.spin(timer.is_canceled)
 
 
 def test_markers_of_planes_that_left_the_map_are_deleted(bench):

@@ -5,6 +5,7 @@ from dataclasses import replace
 from drawn_movers import Drive, DT, Groundless, Mover, usable
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.obstacles import redetection, units
+from mv_slapse.obstacles import tracker as tracker_module
 from mv_slapse.obstacles.detection import detections
 from mv_slapse.obstacles.track import NO_PLANE
 from mv_slapse.obstacles.tracker import ObstacleTracker, OWN_IDS
@@ -50,6 +51,18 @@ def test_where_the_clock_is_set_back_the_tracker_begins_anew(rng):
     again = follow(tracker, AHEAD, rng, 1.0)
     assert not again[0]
     assert [o.id for o in again[-1]] == [OWN_IDS + 1]
+
+
+def test_of_the_ids_that_were_given_the_newest_are_remembered(rng, monkeypatch):
+    monkeypatch.setattr(tracker_module, 'USED_IDS', 3)
+    tracker = ObstacleTracker(SETTINGS)
+    for lane in range(6):  # each seen in turn, and gone for long
+        mover = Mover(lane + 1, (0.3, 20 - 60 * lane), (0, 12))
+        seen = follow(tracker, Drive((mover,)), rng, 1.0, start=30.0 * lane)
+        assert seen[-1][0].id == lane + 1
+    assert list(tracker._used) == [4, 5, 6]
+    again = follow(tracker, Drive((Mover(6, (0.3, 20 - 360), (0, 12)),)), rng, 1.0, start=180.0)
+    assert again[-1][0].id == OWN_IDS + 1
 
 
 def test_a_pair_that_comes_late_changes_nothing(rng):

@@ -76,8 +76,8 @@ class Line:
     def kill(self, name: str):
         """Kill the node; the process that starts it again is its parent."""
         parent = self._processes[name].pid
-        child = int(Path(f'/proc/{parent}/task/{parent}/children').read_text())
-        os.kill(child, signal.SIGKILL)
+        node, *_ = Path(f'/proc/{parent}/task/{parent}/children').read_text().split()
+        os.kill(int(node), signal.SIGKILL)  # the first; the other one waits to follow it
 
     def stop(self) -> list[int]:
         for process in self._processes.values():
