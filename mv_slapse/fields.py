@@ -174,7 +174,8 @@ def pose_stamped_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:
 
 def camera_pose_to_fields(stamp: int, world_from_cam: Pose, frames: RosFrames) -> Fields:
     """Return geometry_msgs/PoseStamped in odom of a camera's pose in {W}."""
-    return {'header': header(stamp, frames.odom), 'pose': _pose(world_from_cam, frames)}
+    return {'header': header(stamp, frames.odom),
+            'pose': _pose(ros_frames.pose_to_odom(world_from_cam, frames))}
 
 
 def twist_to_fields(scene: SceneEstimate, frames: RosFrames) -> Fields:
@@ -360,14 +361,13 @@ def _pose_of(scene: SceneEstimate) -> Pose:
     return Pose(scene.R_world_from_cam, scene.t_world_from_cam, scene.pose_covariance)
 
 
-def _pose(world_from_cam: Pose, frames: RosFrames) -> Fields:
-    pose = ros_frames.pose_to_odom(world_from_cam, frames)
+def _pose(pose: Pose) -> Fields:
     return {'position': named_xyz(pose.t), 'orientation': quaternion(pose.R)}
 
 
 def _pose_with_covariance(scene: SceneEstimate, frames: RosFrames) -> Fields:
-    covariance = ros_frames.pose_to_odom(_pose_of(scene), frames).covariance
-    return {'pose': _pose(_pose_of(scene), frames), 'covariance': flat(covariance)}
+    pose = ros_frames.pose_to_odom(_pose_of(scene), frames)
+    return {'pose': _pose(pose), 'covariance': flat(pose.covariance)}
 
 
 def _twist_with_covariance(scene: SceneEstimate, frames: RosFrames) -> Fields:
