@@ -359,8 +359,6 @@ RULES = (
                                              bool(np.isfinite(sigma)))}),
     Rule('ride', 'the height of a camera that keeps to the ground stays, known or not',
          {SCENE + 'scale.ride:Ride.seen': ITSELF}),
-    Rule('first baseline after a rest', 'a plane or the height tells it',
-         {SCENE + 'scale.rest:first_baseline': ZERO}),
     Rule('supposed baseline', 'before any ground is seen most of what is low is ground',
          {SCENE + 'scale.rest:supposed_baseline': ZERO}),
     Rule('wheels that slip', 'a speed that contradicts the way does not count',

@@ -314,10 +314,9 @@ class SceneFilter:
                 self._make_metric(way.length / max(guess, 1e-9), scene_speed.SOURCE)
             return way.length
         if progress.rested:
-            height = progress.metric * settings.camera_height or self._ride.height
             slow = max(guess, SLOW * progress.fastest * progress.interval)
             again = progress.carried and scene_ratio.baseline(self._state, extraction)
-            return again or scene_rest.first_baseline(self._state, extraction, height) or slow
+            return again or slow
         if not progress.started or guess < 1e-9:
             supposed = scene_rest.supposed_baseline(extraction, settings.camera_height)
             scene_gauge.doubt_scale(self._state, scene_rest.SUPPOSED_SIGMA if supposed else 0.0)

@@ -3,29 +3,12 @@
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.records import Extraction, Label
-from mv_slapse.scene import gating as scene_gate
 from mv_slapse.scene.state import plane_in_camera, SceneState
 import numpy as np
 
 LOW = 0.07  # tangent of the angle below the horizon: the ground within 14 camera heights
 SUPPOSED_SIGMA = 0.2  # of the log of a baseline so supposed: 4 to 12 % was met, and 50 % once
 ROAD = 1.5  # camera heights to either side, which a road is wide
-
-
-def first_baseline(state: SceneState, extraction: Extraction, camera_height: float) -> float:
-    """Return the first baseline after a rest [map unit], 0 where nothing tells it.
-
-    A plane seen again tells it, the ground first: its depth in the map over that in baselines;
-    or the camera's height above the ground does, 0 where that is not known.
-    """
-    again = [plane for plane in extraction.planes
-             if plane.id in state.planes and plane.label == Label.STATIONARY]
-    again.sort(key=lambda plane: not plane.is_ground)
-    if again:
-        seen = np.linalg.norm(plane_in_camera(state, again[0].id))
-        return float(np.linalg.norm(again[0].plane) / seen)
-    ground = scene_gate.ground_seen(extraction)
-    return 0.0 if ground is None else float(camera_height * np.linalg.norm(ground.plane))
 
 
 def supposed_baseline(extraction: Extraction, camera_height: float) -> float:
