@@ -206,7 +206,7 @@ def plane_map_to_fields(scene: SceneEstimate, frames: RosFrames, resets: int = 0
             'reason': scene.reason, 'scale_status': int(scene.scale_status),
             'scale_source': scene.scale_source, 'resets': int(resets),
             'began': stamp_to_fields(began),
-            'planes': [_map_plane_to_fields(plane, frames) for plane in scene.planes]}
+            'planes': [map_plane_to_fields(plane, frames) for plane in scene.planes]}
 
 
 def scene_from_messages(odometry: Any, plane_map: Any, frames: RosFrames,
@@ -303,7 +303,8 @@ def _observation_from_message(msg: Any) -> PlaneObservation:
         int(msg.n_macroblocks), check.number(msg.score, 'planes[].score'))
 
 
-def _map_plane_to_fields(plane: MapPlane, frames: RosFrames) -> Fields:
+def map_plane_to_fields(plane: MapPlane, frames: RosFrames) -> Fields:
+    """Return mv_slapse_msgs/MapPlane in odom."""
     normal, depth, covariance = ros_frames.normal_depth_to_odom(
         plane.normal, plane.depth, plane.covariance, frames)
     return {'id': int(plane.id), 'normal': named_xyz(normal), 'depth': depth,

@@ -104,6 +104,7 @@ class Drive:
         self.node.create_subscription(DiagnosticArray, '/diagnostics', lambda msg: (
             self.heard.update((one.name, time.monotonic()) for one in msg.status)), 100)
         self._begin, self._due, self._next = 0, 0.0, 0
+        self.sent = 0  # stamp of the latest picture that was published [ns]
 
     @staticmethod
     def _keep(kept):
@@ -139,6 +140,7 @@ class Drive:
                                      packet.codec, packet.extradata)
                 self._video.publish(to_message(FFMPEGPacket, packet_to_fields(
                     moved, SIZE, self._next, 'cam')))
+                self.sent = max(self.sent, moved.stamp)
                 self._next += 1
                 self._due = max(self._due + PERIOD, time.monotonic() - PERIOD)
         return bool(until())
@@ -176,8 +178,8 @@ def killed(drive: Drive, line: Line, name: str, stands: bool = False) -> Outcome
 
     ``stands``: no picture comes until it is back, which takes long on a busy machine.
     """
-    before, newest = drive.tracked()[-1], max(drive.maps)
-    result = drive.obstacles if name == 'obstacle_tracker' else drive.maps
+    before = drive.tracked()[-1]
+    sent, result = drive.sent, drive.obstacles if name == 'obstacle_tracker' else drive.maps
     line.kill(name)
     begin = time.monotonic()
     if stands:
@@ -185,8 +187,8 @@ def killed(drive: Drive, line: Line, name: str, stands: bool = False) -> Outcome
         began = time.monotonic()
         assert drive.spin(lambda: drive.heard.get(name, 0.0) > began, 60, False), name
         drive.wait(1.5, False)  # diagnostics come before all are connected
-    # what was on its way when the process ended may still come
-    earliest = max(newest, max(result, default=0)) + 2 * 10**8
+    # what was on its way when the process ended may still come, the later the busier it is
+    earliest = max(sent, max(result, default=0))
 
     def works():
         if name == 'obstacle_tracker':
