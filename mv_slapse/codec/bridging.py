@@ -15,7 +15,7 @@ from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.records import FrameType
 import numpy as np
 
-RETURN = 0.25  # px, how near the search back, which begins there, must stay to where it began
+RETURN = 0.5  # px, how near the search back, which begins there, must stay to where it began
 LEVELS = 2  # of the pyramid: 4 times the window's 8 px beyond where the search begins
 SPARSE, LEAST = 7, 10  # every so many macroblocks; so many tell whether the pictures changed
 EXCUSED = 1.0  # px of motion that an encoder may leave out to save bits
