@@ -15,8 +15,8 @@ from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.records import FrameType
 import numpy as np
 
-RETURN = 0.5  # px, how near the search back, which begins there, must stay to where it began
-LEVELS = 2  # of the pyramid: 4 times the window's 8 px beyond where the search begins
+RETURN = 0.5  # px, how near the search back must end to where the search began
+LEVELS = 3
 SPARSE, LEAST = 7, 10  # every so many macroblocks; so many tell whether the pictures changed
 EXCUSED = 1.0  # px of motion that an encoder may leave out to save bits
 FLAT = 1e-4  # smallest eigenvalue of a macroblock that has texture in two directions
@@ -45,7 +45,7 @@ def is_untrue(segment: Segment) -> bool:
     if any(frame.displacement.any() for frame in frames) or not can_search(segment):
         return False
     x = _centres(segment.current.width, segment.current.height)[::SPARSE]
-    there, found = _follow(segment.current.luma, segment.previous.luma, x, x, LEVELS)
+    there, found = _follow(segment.current.luma, segment.previous.luma, x, x)
     way = np.abs(there - x).max(axis=1)[found]
     return bool(len(way) >= LEAST and np.median(way) > EXCUSED)
 
@@ -60,13 +60,12 @@ def search(segment: Segment, expect: MotionPrior, settings: DecoderSettings) -> 
     seconds = (segment.current.stamp - segment.previous.stamp) * 1e-9
     field = expect.field(seconds, x[:0], x[:0])
     start = x if field is None else x + at(field, x)
-    there, found = _follow(current, previous, x, start, LEVELS)
+    there, found = _follow(current, previous, x, start)
     inside = ((there >= 0) & (there < (segment.current.width, segment.current.height))).all(axis=1)
     x, there = x[found & inside], there[found & inside]
     if not len(x):
         return _evidence(x, there, settings)
-    # The way back begins where it should end: it need not be found, but stay.
-    back, returned = _follow(previous, current, there, x, 0)
+    back, returned = _follow(previous, current, there, x)
     good = returned & (np.abs(back - x).max(axis=1) < RETURN)
     return _evidence(x[good], there[good], settings)
 
@@ -83,8 +82,8 @@ def _centres(width: int, height: int) -> np.ndarray:
     return (MACROBLOCK * grid + (MACROBLOCK - 1) / 2).astype(np.float32)
 
 
-def _follow(a: np.ndarray, b: np.ndarray, x: np.ndarray, start: np.ndarray, levels: int):
+def _follow(a: np.ndarray, b: np.ndarray, x: np.ndarray, start: np.ndarray):
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         a, b, x[:, None], start[:, None].copy(), winSize=(MACROBLOCK + 1, MACROBLOCK + 1),
-        maxLevel=levels, flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=FLAT)
+        maxLevel=LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=FLAT)
     return there[:, 0], found[:, 0] > 0
