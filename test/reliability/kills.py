@@ -39,6 +39,8 @@ CLIP = ROOT.parent / 'shared' / 'data' / 'kitti00'
 VIDEO, SIZE = CLIP / 'mpeg2.mpg', (1240, 376)
 ROBOT = replace(LOW_LATENCY, gop=10)  # a key picture each second, a pair each picture
 FOUR = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker')
+NEEDED = {'decoder': 'video', 'plane_extraction': 'correspondences',  # topic of each
+          'slam': 'planes/observations', 'obstacle_tracker': 'planes/observations'}
 PERIOD = 0.1  # [s] between two pictures
 PATIENCE = 20.0  # [s]
 
@@ -100,9 +102,11 @@ class Drive:
                 (PlaneMap, 'planes/map', self.maps, latched),
                 (ObstacleArray, 'obstacles', self.obstacles, QoSProfile(depth=100))):
             self.node.create_subscription(kind, topic, self._keep(kept), profile)
-        self.heard = {}  # name of a node -> when it last said something of its state
+        self.heard = {}  # name of a node -> when it last said that what it needs is connected
         self.node.create_subscription(DiagnosticArray, '/diagnostics', lambda msg: (
-            self.heard.update((one.name, time.monotonic()) for one in msg.status)), 100)
+            self.heard.update((one.name, time.monotonic()) for one in msg.status
+                              if any(item.key == f'publishers of /{NEEDED.get(one.name)}'
+                                     and item.value != '0' for item in one.values))), 100)
         self._begin, self._due, self._next = 0, 0.0, 0
         self.sent = 0  # stamp of the latest picture that was published [ns]
 
@@ -186,7 +190,7 @@ def killed(drive: Drive, line: Line, name: str, stands: bool = False) -> Outcome
         drive.wait(0.1, False)  # what it has said before
         began = time.monotonic()
         assert drive.spin(lambda: drive.heard.get(name, 0.0) > began, 60, False), name
-        drive.wait(1.5, False)  # diagnostics come before all are connected
+        drive.wait(1.5, False)  # those that hear it may be connected later
     # what was on its way when the process ended may still come, the later the busier it is
     earliest = max(sent, max(result, default=0))
 
