@@ -45,9 +45,7 @@ py::array_t<double> array_of(const std::vector<Point>& points, std::size_t most)
   return out.array();
 }
 
-double middle_of(std::vector<double> values) {
-  return values.empty() ? 0 : median(values);
-}
+double middle_of(std::vector<double> values) { return values.empty() ? 0 : median(values); }
 
 // A picture's macroblocks.
 struct Picture {

@@ -172,7 +172,11 @@ struct Track {
   int first = 0, last = 0;  // blocks in columns near the window that proposes it
 };
 
-struct Sorted;
+// Numbers of blocks sorted by column of macroblocks, then by row, and the cells of all in that order.
+struct Sorted {
+  std::vector<int> order;
+  Cells cells;
+};
 
 // Sharp stationary blocks, ordered by column of macroblocks and row, their windows, and what
 // planes explain of them.
@@ -224,12 +228,6 @@ class Search {
   std::vector<unsigned char> outline_, wider_;
   std::vector<Track> found_;
   std::vector<std::vector<int>> parts_;
-};
-
-// Numbers of blocks sorted by column of macroblocks, then by row, and the cells of all in that order.
-struct Sorted {
-  std::vector<int> order;
-  Cells cells;
 };
 
 Sorted by_column(const std::vector<int>& sharp, const double* pixels) {
@@ -670,8 +668,8 @@ py::tuple find_planes(const py::object& rays, const py::object& rho, const py::o
   }
   std::vector<Gaussian> known;
   for (py::ssize_t i = 0; i < k; ++i) known.push_back(before[i]);
-  Search search(is, vector3(name, "up", up), by_column(sharp, pixels.data()), ray.data(), depth.data(), noise.data(),
-                pixels.data());
+  Search search(is, vector3(name, "up", up), by_column(sharp, pixels.data()), ray.data(),
+                depth.data(), noise.data(), pixels.data());
   std::vector<Track> found;
   if (static_cast<double>(sharp.size()) >= is.min_macroblocks && search.look())
     found = search.chosen(known, pairs, room);
