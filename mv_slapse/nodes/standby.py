@@ -21,6 +21,7 @@ import time
 import rclpy
 from rclpy.logging import get_logger
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.type_support import check_for_type_support
 from rclpy.utilities import get_rmw_implementation_identifier
@@ -125,11 +126,17 @@ class _Follower:
 
 
 def _place(words: list[str]) -> Node | None:
-    """Take part in ROS with next to nothing, where that is allowed."""
+    """Take part in ROS with next to nothing, where that is allowed.
+
+    The rights of the node's enclave suffice: of this one's name, which no policy can know, there
+    is nothing.
+    """
     try:
         rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+        silent = Parameter('start_type_description_service', value=False)
         return rclpy.create_node(f'{PLACE}{os.getpid()}', use_global_arguments=False,
-                                 enable_rosout=False, start_parameter_services=False)
+                                 enable_rosout=False, start_parameter_services=False,
+                                 parameter_overrides=[silent])
     except Exception as error:
         get_logger('mv_slapse').warning(f'a node that is killed will be back late: {error}')
         return None

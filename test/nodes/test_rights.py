@@ -1,6 +1,9 @@
 """What the nodes really open is what the policy for SROS2 allows them."""
 
+import json
 from pathlib import Path
+import subprocess
+import sys
 
 import pytest
 
@@ -48,3 +51,21 @@ def test_a_node_opens_what_it_is_allowed_and_nothing_else(bench, name):
     assert bench.spin(lambda: all(w - SOMETIMES <= o for w, o in zip(
         wanted, opened(), strict=True))), opened()
     assert [o - w for w, o in zip(wanted, opened(), strict=True)] == [set()] * 3
+
+
+OPENED = """
+import json
+from mv_slapse.nodes import standby
+place = standby._place([])
+print(json.dumps([[topic for topic, _ in asked(place.get_name(), '/')] for asked in (
+    place.get_publisher_names_and_types_by_node, place.get_subscriber_names_and_types_by_node,
+    place.get_service_names_and_types_by_node)]))
+"""
+
+
+def test_a_process_that_waits_to_be_the_node_opens_what_each_node_may(ros_domain):
+    said = subprocess.run([sys.executable, '-c', OPENED], capture_output=True, check=True,
+                          timeout=60, text=True).stdout
+    published, subscribed, replied = map(set, json.loads(said))
+    assert published <= set(security_policy.PUBLISHED) | SOMETIMES
+    assert subscribed | replied == set()
