@@ -416,7 +416,7 @@ RULES = (
          {'decoder.prior_votes': 0.0}),
     Rule('bridging', 'macroblocks of an I frame are searched for in the past', {},
          {'decoder.bridge_intra': False}),
-    Rule('halves', 'a long segment is split at its middle B frame', {},
+    Rule('halves', 'a segment with long vectors is split at its middle B frame', {},
          {'decoder.split_flow': 1e6}),
     Rule('chaining', 'pairs with little parallax are chained', {}, {'decoder.max_chain': 1}))
 BY_NAME = {rule.name: rule for rule in RULES}

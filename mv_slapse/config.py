@@ -124,7 +124,8 @@ class DecoderSettings(Checked):
         'each adds up over their number', 0.0)
     max_chain: int = setting(12, '-', 'most pairs that are chained into one', 1)
     max_chain_time: float = setting(
-        0.25, 's', 'longest time that a chain spans, also where the camera stands still', 0.0)
+        0.25, 's', 'longest time that a chain spans, also where the camera stands still; what '
+        'takes longer between key frames is split at its middle B frame', 0.0)
     max_chain_flow: float = setting(
         32.0, 'px', 'median motion at which a chain ends whatever its parallax', 1.0)
 

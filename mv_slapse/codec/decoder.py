@@ -77,19 +77,23 @@ class CorrespondenceDecoder:
         return pairs
 
     def _merged(self, segment: Segment) -> list[Correspondences]:
-        """Merge a segment, in two parts where its motion is too long for direct vectors."""
-        evidence = collect(segment, self._settings)
+        """Merge a segment, in two parts where its motion is too long for direct vectors.
+
+        Also where it takes longer than any chain: an encoder that has not found the motion over
+        .4 s has short vectors that agree, of other matter, and does not look as if it moved far.
+        """
+        evidence, settings = collect(segment, self._settings), self._settings
         whole = self._merge(segment, evidence)
-        self._learn(match_probability(evidence, whole, self._settings))
-        if not segment.between or len(whole) and median_flow(whole) < self._settings.split_flow:
+        self._learn(match_probability(evidence, whole, settings))
+        late = segment.current.stamp - segment.previous.stamp > settings.max_chain_time * 1e9
+        short = not late and len(whole) and median_flow(whole) < settings.split_flow
+        if short or not segment.between:
             return [whole]
-        parts = [self._merge(half, collect(half, self._settings))
-                 for half in halves(segment, self._settings)]
+        parts = [self._merge(half, collect(half, settings)) for half in halves(segment, settings)]
         # Fewer matches over half the distance: the B frame's vectors mean other pictures.
-        shorter = min(map(_supported, parts))
-        good = shorter >= self._settings.split_share * len(whole)
+        good = min(map(_supported, parts)) >= settings.split_share * len(whole)
         # Halves that would be chained again lose matches where they are joined.
-        return parts if good and all(map(self._chainer.is_long, parts)) else [whole]
+        return parts if late or good and all(map(self._chainer.is_long, parts)) else [whole]
 
     def _merge(self, segment: Segment, evidence: Evidence) -> Correspondences:
         return merge(segment, evidence, self._settings, self._expect, self._right)

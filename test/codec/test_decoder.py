@@ -62,6 +62,13 @@ def test_a_segment_is_halved_only_where_each_half_has_parallax_of_its_own(rng, p
     assert pair.stamp == frames * 40_000_000
 
 
+@pytest.mark.parametrize(('longest', 'frames'), [(0.15, 2), (0.17, 4)])
+def test_a_segment_longer_than_any_chain_is_halved_however_short_its_vectors(rng, longest, frames):
+    settings = replace(EACH, max_chain_time=longest, split_flow=1e6, min_parallax=1e6)
+    pair = decoded(packets(rng, MPEG2), settings)[0]
+    assert pair.stamp == frames * 40_000_000
+
+
 def test_an_i_frame_without_b_frames_is_bridged_or_broken(rng):
     coded = packets(rng, Encoding('h264', 0, 6), 14)
     bridged = decoded(coded)
