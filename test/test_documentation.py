@@ -99,13 +99,20 @@ def text_of(node: ast.expr) -> str | None:
     return None
 
 
+def is_logging(function: ast.expr) -> bool:
+    """Tell whether a call of this logs a warning or worse."""
+    return (isinstance(function, ast.Attribute) and function.attr in ('warning', 'error', 'fatal')
+            and 'logger' in ast.unparse(function.value))
+
+
 def errors() -> list[str]:
-    """Return what the errors of this package say, but for those that only hand others on."""
+    """Return what errors and warnings of this package say, but those that hand others on."""
     kinds = {'UsageError', 'UnusableInput', 'UnusableOutput', 'InvalidMessage', 'MissingKernels'}
     trees = [ast.parse(path.read_text(encoding='utf-8'))
              for path in (ROOT / 'mv_slapse').rglob('*.py')]
     said = [text_of(node.args[0]) for tree in trees for node in ast.walk(tree)
-            if isinstance(node, ast.Call) and getattr(node.func, 'id', '') in kinds and node.args]
+            if isinstance(node, ast.Call) and node.args
+            and (getattr(node.func, 'id', '') in kinds or is_logging(node.func))]
     return sorted({text for text in said if text and len(re.findall('[a-z]', text)) > 8})
 
 
