@@ -225,9 +225,8 @@ class SceneSettings(MountSettings):
         0.03, '-', 'depth of a surface about its plane, as a share of depth; where the scale '
         'is metric also what its depth changes by while the camera moves by it', 0.0, 1.0)
     depth_bias: float = setting(
-        0.01, '-', 'error of the depth of a whole surface in one pair, as a share: encoders '
-        'pull its vectors the same way; what lasts of it is in camera_height_bias, both together '
-        'were 1 to 2.4 % on road', 0.0, 1.0)
+        0.015, '-', 'error of the depth of a whole surface in one pair, as a share: encoders '
+        'pull its vectors the same way; 1 to 2.4 % was measured on road', 0.0, 1.0)
     dependence: float = setting(
         3.0, '-', 'neighbouring motion vectors err together: so many tell as much as one '
         'independent one before the stream has shown it', 1.0)
