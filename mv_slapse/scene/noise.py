@@ -11,7 +11,6 @@ from mv_slapse.records import Label
 import numpy as np
 
 LEAST = 50  # correspondences whose errors can tell
-UNLABELLED = 0.05  # share of the vectors of a first pair that movers, not to be told yet, may have
 SLOW = 0.1  # weight of the newest pair in the running mean: some 10 pairs
 TENTH = 6.25  # chi-square of 3 degrees of freedom is larger once in ten
 AGREEMENT_STEP = 0.3  # of the log of the scale: some 60 planes seen make it a sixth
@@ -23,11 +22,11 @@ BOUNDS = (1.0, 30.0)  # a pair says little beyond: too few blocks remain indepen
 class Dependence:
     """Correspondences that tell as much as one independent one, over the last pairs.
 
-    ``pairs`` were seen; one tells the logarithm to 0.2, so the value before any is given up.
+    ``pairs`` were seen; the value before any counts as one.
     """
 
     value: float
-    pairs: int = 0
+    pairs: int = 1
 
     def seen(self, pair: two_view.Pair, R, t) -> 'Dependence':
         """Return it after one more pair, whose motion is R_cur_from_prev, t_cur_from_prev.
@@ -45,12 +44,10 @@ class Dependence:
     def settings(self, before: SceneSettings, label: np.ndarray) -> SceneSettings:
         """Return the settings with what the stream has shown of its noise, labels (N,) of a pair.
 
-        Of the vectors that have no label as many may be movers' as of the others. No first pair
-        has labels of movers: it takes two to tell them.
+        Of the vectors that have no label as many may be movers' as of the others.
         """
         told = label[label != Label.UNKNOWN.value]
         share = np.count_nonzero(told == Label.MOVING.value) / max(len(told), 1)
-        share = max(share, UNLABELLED * (self.pairs <= 1))
         return unchecked(before, dependence=self.value, mover_bias=before.mover_bias * share)
 
 
