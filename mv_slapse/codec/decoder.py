@@ -90,10 +90,12 @@ class CorrespondenceDecoder:
         if short or not segment.between:
             return [whole]
         parts = [self._merge(half, collect(half, settings)) for half in halves(segment, settings)]
+        if late:
+            return parts
         # Fewer matches over half the distance: the B frame's vectors mean other pictures.
         good = min(map(_supported, parts)) >= settings.split_share * len(whole)
         # Halves that would be chained again lose matches where they are joined.
-        return parts if late or good and all(map(self._chainer.is_long, parts)) else [whole]
+        return parts if good and all(map(self._chainer.is_long, parts)) else [whole]
 
     def _merge(self, segment: Segment, evidence: Evidence) -> Correspondences:
         return merge(segment, evidence, self._settings, self._expect, self._right)
