@@ -271,8 +271,8 @@ class SceneFilter:
             index[plane_id == id] = i
         depths = scene_ratio.depths_of(pair, extraction.motion, settings)
         follows &= self._progress.carried and bool(np.isfinite(extraction.baseline_ratio_sigma))
-        ratio = (scene_ratio.told(self._state, extraction, depths, settings, self._progress.rested)
-                 if follows else [])
+        ratio = (scene_ratio.told(self._state, extraction, depths, settings, self._progress.rested,
+                                  bool(known)) if follows else [])
         if ratio:  # braking hard, a step from the length predicted would go beyond zero
             shown = scene_update.shown(self._state.previous, extraction.motion,
                                       float(np.exp(self._state.depth_scale)))

@@ -15,18 +15,18 @@ SLOW = 0.1  # weight of the newest pair in the running mean: some 10 pairs
 TENTH = 6.25  # chi-square of 3 degrees of freedom is larger once in ten
 AGREEMENT_STEP = 0.3  # of the log of the scale: some 60 planes seen make it a sixth
 LEAST_SCALE = 0.1  # a tenfold conservative covariance; a lower one was not met on real streams
-BOUNDS = (1.0, 30.0)  # a pair says little beyond: too few blocks remain independent
+BOUNDS = (1.2, 30.0)  # no stream showed less; beyond, too few blocks remain independent
 
 
 @dataclass(frozen=True)
 class Dependence:
     """Correspondences that tell as much as one independent one, over the last pairs.
 
-    ``pairs`` were seen; the value before any counts as one.
+    ``pairs`` were seen; one tells the logarithm to 0.2, so the value before any is given up.
     """
 
     value: float
-    pairs: int = 1
+    pairs: int = 0
 
     def seen(self, pair: two_view.Pair, R, t) -> 'Dependence':
         """Return it after one more pair, whose motion is R_cur_from_prev, t_cur_from_prev.
@@ -44,10 +44,12 @@ class Dependence:
     def settings(self, before: SceneSettings, label: np.ndarray) -> SceneSettings:
         """Return the settings with what the stream has shown of its noise, labels (N,) of a pair.
 
-        Of the vectors that have no label as many may be movers' as of the others.
+        Of the vectors that have no label as many may be movers' as of the others. No first pair
+        has labels of movers, as it takes two to tell them: the second one's lean counts for both.
         """
         told = label[label != Label.UNKNOWN.value]
         share = np.count_nonzero(told == Label.MOVING.value) / max(len(told), 1)
+        share *= np.sqrt(1 + (self.pairs == 2))
         return unchecked(before, dependence=self.value, mover_bias=before.mover_bias * share)
 
 

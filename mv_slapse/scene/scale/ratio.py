@@ -44,18 +44,22 @@ def depths_of(pair: two_view.Pair, motion: CameraMotion, settings: SceneSettings
 
 
 def told(state: SceneState, extraction: Extraction, depths: Depths, settings: SceneSettings,
-         rested: bool = False) -> list[Observation]:
+         rested: bool = False, shared: bool = False) -> list[Observation]:
     """Move the scale of the depths by a pair's ratio; return what it tells of the baseline.
 
     Nothing where the ratio contradicts the prediction: vectors that are wrong in bulk agree in
     depths. The scale moves all the same, for the map of blocks outlasts such a pair, and the next
     one is compared with those before it. After a rest no length is predicted to contradict.
+
+    Known planes in view tell the length by vectors that are ``shared`` with the depths, and how
+    far the two err together is not known: the variance then counts twice, as in an intersection
+    of covariances with equal weights.
     """
     sampling = extraction.baseline_ratio_sigma * np.sqrt(settings.depth_dependence)
     sigma, log = float(np.hypot(sampling, settings.ratio_sigma)), extraction.baseline_ratio
     held = rested or holds(state, log, float(np.sqrt(sigma**2 + depths.variance)))
     move(state, log, settings.ratio_drift)
-    return [observed(depths, sigma)] if held else []
+    return [observed(depths, sigma * np.sqrt(1 + shared))] if held else []
 
 
 def baseline(state: SceneState, extraction: Extraction) -> float:

@@ -156,3 +156,12 @@ def test_a_length_that_nothing_tells_is_not_drawn_to_zero_by_directions_that_err
     lengths = np.array([estimate.baseline for estimate in estimates])
     assert np.all(lengths > 0.1)  # without what is supposed of them: 0.003
     assert np.all(lengths < 1.1)
+
+
+def test_the_ratio_counts_half_where_planes_tell_the_length_by_the_same_vectors(state):
+    extraction = replace(Canyon().extraction(2), baseline_ratio=float(
+        scene_state.log_baseline(state)[0] - state.depth_scale))
+    alone, shared = (scene_ratio.told(deepcopy(state), extraction, depths_with(np.zeros(6), state),
+                                      SceneSettings(), shared=both)[0].sigma
+                     for both in (False, True))
+    assert shared == pytest.approx(np.sqrt(2) * alone)
