@@ -26,10 +26,10 @@ from std_srvs.srv import Trigger  # noqa: E402
 NODES = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker', 'all_in_one')
 
 
-def start(name, *arguments, more=()):
+def start(name, *arguments, more=(), env=os.environ):
     return subprocess.Popen(
         [sys.executable, '-m', f'mv_slapse.nodes.{name}', *more, '--ros-args', *arguments],
-        env={**os.environ, 'PYTHONPATH': str(ROOT)}, text=True,
+        env={**env, 'PYTHONPATH': str(ROOT)}, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
 
 
@@ -104,6 +104,13 @@ def cpu_of(number):
     return sum(map(int, words[11:13]))
 
 
+def wait_for(condition):
+    end = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
 def children_of(process):
     """Return the numbers of the node, and of the process that waits to follow it."""
     text = Path(f'/proc/{process.pid}/task/{process.pid}/children').read_text()
@@ -113,6 +120,17 @@ def children_of(process):
 def node_of(process):
     """Return the number of the node once another one waits, else 0."""
     return children_of(process)[0] if len(children_of(process)) == 2 else 0
+
+
+def has_shared_memory(number):
+    """Return whether a process hears by DDS in shared memory."""
+    return '/dev/shm/fastrtps_port' in Path(f'/proc/{number}/maps').read_text()
+
+
+def is_participant(number):
+    """Return whether a process has the threads of one."""
+    return any('dds.' in (path / 'comm').read_text()
+               for path in Path(f'/proc/{number}/task').iterdir())
 
 
 def is_in_ros(bench, number):
@@ -151,6 +169,18 @@ def test_a_node_that_is_killed_is_followed_by_one_that_is_in_ros_by_then(bench, 
     assert bench.spin(lambda: not is_in_ros(bench, third))  # it has taken its leave
 
 
+def test_the_one_that_waits_hears_by_udp_alone(ros_domain):
+    """With ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST rmw_fastrtps chooses, whatever is asked for."""
+    subnet = {key: value for key, value in os.environ.items() if 'DISCOVERY_RANGE' not in key}
+    process = start('slam', more=['--standby'], env=subnet)
+    try:
+        wait_for(lambda: node_of(process) and all(map(is_participant, children_of(process))))
+        assert [has_shared_memory(number) for number in children_of(process)] == [True, False]
+    finally:
+        process.kill()
+        process.wait()
+
+
 def test_a_node_comes_again_where_the_one_that_was_to_follow_it_was_killed(bench, standing):
     first, second = children_of(standing)
     os.kill(second, signal.SIGKILL)
@@ -164,10 +194,7 @@ def test_a_node_comes_again_where_the_one_that_was_to_follow_it_was_killed(bench
 def test_one_that_waits_ends_with_the_process_that_has_forked_it(standing):
     numbers = children_of(standing)
     standing.kill()
-    end = time.monotonic() + 20
-    while any(Path(f'/proc/{number}').exists() for number in numbers):
-        assert time.monotonic() < end
-        time.sleep(0.1)
+    wait_for(lambda: not any(Path(f'/proc/{number}').exists() for number in numbers))
 
 
 def test_two_that_were_forked_again_find_each_other(bench, standing):

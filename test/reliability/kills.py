@@ -42,6 +42,8 @@ FOUR = ('decoder', 'plane_extraction', 'slam', 'obstacle_tracker')
 NEEDED = {'decoder': 'video', 'plane_extraction': 'correspondences',  # topic of each
           'slam': 'planes/observations', 'obstacle_tracker': 'planes/observations'}
 PERIOD = 0.1  # [s] between two pictures
+UNSEEN = 3  # pictures that come while a node starts: they end one pair of the clip at most
+QUIET = 2.0  # [s] without an output after which all that was published has been worked off
 PATIENCE = 20.0  # [s]
 
 
@@ -103,12 +105,17 @@ class Drive:
                 (ObstacleArray, 'obstacles', self.obstacles, QoSProfile(depth=100))):
             self.node.create_subscription(kind, topic, self._keep(kept), profile)
         self.heard = {}  # name of a node -> when it last said that what it needs is connected
-        self.node.create_subscription(DiagnosticArray, '/diagnostics', lambda msg: (
-            self.heard.update((one.name, time.monotonic()) for one in msg.status
-                              if any(item.key == f'publishers of /{NEEDED.get(one.name)}'
-                                     and item.value != '0' for item in one.values))), 100)
+        self.said = {}  # the same -> what it said last of itself
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._hear, 100)
         self._begin, self._due, self._next = 0, 0.0, 0
         self.sent = 0  # stamp of the latest picture that was published [ns]
+
+    def _hear(self, msg: DiagnosticArray):
+        for one in msg.status:
+            values = {item.key: item.value for item in one.values}
+            self.said[one.name] = one.message, values
+            if values.get(f'publishers of /{NEEDED.get(one.name)}', '0') != '0':
+                self.heard[one.name] = time.monotonic()
 
     @staticmethod
     def _keep(kept):
@@ -128,12 +135,32 @@ class Drive:
         self._begin += 1000 * 10**9
         self._due, self._next = time.monotonic(), 0
 
-    def ready(self) -> bool:
-        """Wait for all nodes; two read the map, and the tracker the poses."""
+    def settle(self):
+        """Stand until all that was published has been worked off, which takes long if busy."""
+        newest = None
+        while newest != (newest := max(self.maps)):
+            self.wait(QUIET, False)
+
+    def pictures(self, n: int):
+        """Drive on for so many pictures."""
+        last = min(self._next + n, len(self._packets))
+        assert self.spin(lambda: self._next >= last)
+
+    def ready(self, drive: bool = True) -> bool:
+        """Wait for all nodes; two read the map, and the tracker the poses.
+
+        One that was killed counts until DDS takes it for gone, some 20 s later.
+        """
         count = self.node.count_subscribers
         return self.spin(lambda: count('video') == 1 and count('correspondences') == 1
                          and count('planes/observations') == 2 and count('odometry') == 2
-                         and count('obstacles') == 1, 60, self._next > 0)
+                         and count('obstacles') == 1, 60, drive and self._next > 0)
+
+    def connected(self) -> bool:
+        """Stand until each node says that what it needs is connected, from now on."""
+        began = time.monotonic()
+        return self.spin(lambda: all(self.heard.get(name, 0.0) > began for name in FOUR), 60,
+                         False)
 
     def spin(self, until, timeout: float = PATIENCE, drive: bool = True) -> bool:
         """Drive on until a condition holds; return whether it did in time."""
@@ -182,17 +209,18 @@ def _packets(low_latency: bool) -> list[Packet]:
 def killed(drive: Drive, line: Line, name: str, stands: bool = False) -> Outcome:
     """Kill a node, and wait until what it is needed for comes again.
 
-    ``stands``: no picture comes until it is back, which takes long on a busy machine.
+    ``stands``: but for one pair no picture comes until it is back and all that was killed is gone
+    for the others, which takes long on a busy machine.
     """
+    if stands:
+        drive.settle()
     before = drive.tracked()[-1]
     sent, result = drive.sent, drive.obstacles if name == 'obstacle_tracker' else drive.maps
     line.kill(name)
     begin = time.monotonic()
     if stands:
-        drive.wait(0.1, False)  # what it has said before
-        began = time.monotonic()
-        assert drive.spin(lambda: drive.heard.get(name, 0.0) > began, 60, False), name
-        drive.wait(1.5, False)  # those that hear it may be connected later
+        drive.pictures(UNSEEN)
+        assert drive.ready(False) and drive.connected(), name
     # what was on its way when the process ended may still come, the later the busier it is
     earliest = max(sent, max(result, default=0))
 
@@ -201,7 +229,7 @@ def killed(drive: Drive, line: Line, name: str, stands: bool = False) -> Outcome
             return max(drive.obstacles, default=0) > earliest
         return drive.tracked()[-1] > earliest
 
-    assert drive.spin(works), f'{name} does not work again'
+    assert drive.spin(works), f'{name} does not work again: {drive.said}'
     seconds, after = time.monotonic() - begin, drive.tracked()[-1]
     same = drive.maps[after].began == drive.maps[before].began
     walls = {(p.id, p.first_seen.sec) for p in drive.maps[before].planes
