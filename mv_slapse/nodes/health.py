@@ -186,6 +186,8 @@ class Health:
 
 
 def _text(kind: Kind, entries: list[_Entered]) -> str:
-    """Return what is said of the worst conditions."""
-    said = '; '.join(entry.message for entry in entries)
+    """Return what is said of the worst conditions; a next step that several have, once."""
+    steps = [entry.message.partition(': ')[2] for entry in entries]
+    said = '; '.join(entry.message.removesuffix(f': {step}') if step in steps[i + 1:]
+                     else entry.message for i, (entry, step) in enumerate(zip(entries, steps)))
     return f'{kind.name.lower()}: {said}' if said else 'ok'

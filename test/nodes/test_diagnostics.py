@@ -254,7 +254,8 @@ def seen(extraction):
 
 def test_extraction_waits_works_and_tells_where_it_knows_no_motion(bench):
     node = bench.start(PlaneExtractionNode)
-    reaches(bench, node, 'no_camera')
+    reaches(bench, node, 'no_camera', 'no camera_info yet; /camera_info has no publisher: start')
+    assert messages_of(node).count('start the camera driver') == 1  # both have that next step
     bench.peer.create_publisher(CameraInfo, 'camera_info', LATCHED).publish(drives.camera_info())
     publisher = bench.advertise(Correspondences, 'correspondences')
     reaches(bench, node, 'silent', '/correspondences is silent')
