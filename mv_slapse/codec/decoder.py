@@ -90,7 +90,7 @@ class CorrespondenceDecoder:
         if short or not segment.between:
             return [whole]
         parts = [self._merge(half, collect(half, settings)) for half in halves(segment, settings)]
-        if late:
+        if late and all(map(len, parts)):
             return parts
         # Fewer matches over half the distance: the B frame's vectors mean other pictures.
         good = min(map(_supported, parts)) >= settings.split_share * len(whole)

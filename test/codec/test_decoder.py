@@ -1,6 +1,6 @@
 from dataclasses import replace
 
-from mv_slapse.codec import decoder
+from mv_slapse.codec import decoder, evidence
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
 from mv_slapse.config import DecoderSettings
@@ -67,6 +67,19 @@ def test_a_segment_longer_than_any_chain_is_halved_however_short_its_vectors(rng
     settings = replace(EACH, max_chain_time=longest, split_flow=1e6, min_parallax=1e6)
     pair = decoded(packets(rng, MPEG2), settings)[0]
     assert pair.stamp == frames * 40_000_000
+
+
+def test_a_long_segment_stays_whole_where_its_b_frames_have_vectors_to_one_side_only(
+        rng, monkeypatch):
+    def one_sided(segment, settings):
+        first, second = evidence.halves(segment, settings)
+        blind = {name: getattr(second.current, name)[:0]
+                 for name in ('x', 'displacement', 'direction', 'block')}
+        return first, replace(second, current=replace(second.current, **blind))
+
+    monkeypatch.setattr(decoder, 'halves', one_sided)
+    pair = decoded(packets(rng, MPEG2), replace(EACH, max_chain_time=0.15))[0]
+    assert (pair.stamp, len(pair) > 20) == (4 * 40_000_000, True)
 
 
 def test_an_i_frame_without_b_frames_is_bridged_or_broken(rng):
