@@ -63,8 +63,8 @@ def obstacle_markers(obstacles: Iterable[Obstacle], frames: RosFrames) -> list[F
     return markers
 
 
-def path_to_fields(stamp: int, poses: Iterable[Fields], frames: RosFrames) -> Fields:
-    """Return nav_msgs/Path of poses as ``fields.pose_stamped_to_fields`` gives them."""
+def path_to_fields(stamp: int, poses: Iterable[Any], frames: RosFrames) -> Fields:
+    """Return nav_msgs/Path of poses, each as ``fields.pose_stamped_to_fields`` or a message."""
     return {'header': header(stamp, frames.odom), 'poses': list(poses)}
 
 

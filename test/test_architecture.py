@@ -50,10 +50,11 @@ BELOW = {
     'states': set(),
     'step_diagnostics': {*LOW, 'field_values', 'states'},
     'storage': {*LOW, 'codec', 'fields', 'known_map', 'level', 'picture_size',
-                'planner_fields', 'step_diagnostics', 'video_messages', 'view_fields'},
+                'plane_messages', 'planner_fields', 'step_diagnostics', 'video_messages',
+                'view_fields'},
     'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'drawing', 'fields', 'field_values',
-              'frame_change', 'known_map', 'level', 'message_checks', 'planner_fields', 'states',
-              'video_messages', 'view_fields'},
+              'frame_change', 'known_map', 'level', 'message_checks', 'plane_messages',
+              'planner_fields', 'states', 'video_messages', 'view_fields'},
 }
 
 

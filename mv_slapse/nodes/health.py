@@ -189,5 +189,6 @@ def _text(kind: Kind, entries: list[_Entered]) -> str:
     """Return what is said of the worst conditions; a next step that several have, once."""
     steps = [entry.message.partition(': ')[2] for entry in entries]
     said = '; '.join(entry.message.removesuffix(f': {step}') if step in steps[i + 1:]
-                     else entry.message for i, (entry, step) in enumerate(zip(entries, steps)))
+                     else entry.message for i, (entry, step) in enumerate(zip(
+                         entries, steps, strict=True)))
     return f'{kind.name.lower()}: {said}' if said else 'ok'

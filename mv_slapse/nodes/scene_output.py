@@ -1,8 +1,8 @@
 """What slam publishes: pose, twist, path, transform and map."""
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistWithCovarianceStamped
 from mv_slapse import fields, view_fields
@@ -14,7 +14,8 @@ from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.qos import is_heard, LATCHED, RELIABLE
 from mv_slapse.nodes.settings import FrameSettings, SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
-from mv_slapse.records import MapPlane, ScaleStatus, SceneEstimate, TrackingStatus, WITH_POSE
+from mv_slapse.plane_messages import PlaneMessages
+from mv_slapse.records import ScaleStatus, SceneEstimate, TrackingStatus, WITH_POSE
 from mv_slapse.states import CONDITIONS
 from mv_slapse_msgs.msg import MapPlane as MapPlaneMsg
 from mv_slapse_msgs.msg import PlaneMap
@@ -26,30 +27,6 @@ STATES = {'initialising': TrackingStatus.INITIALISING, 'predicted': TrackingStat
           'lost': TrackingStatus.LOST}
 LATCHED_PERIOD = 1_000_000_000  # [ns] between two latched maps while nobody listens
 LOOK = 1.0  # [s] between two looks whether somebody wants markers where no pictures come
-
-
-class PlaneMessages:
-    """Messages of planes; of one that has not changed since the last picture it is the same.
-
-    A map may hold 200 planes that the filter has given up, and each costs as much as a pose.
-    """
-
-    def __init__(self):
-        """Have made none yet."""
-        self._made: dict[int, tuple[MapPlane, MapPlaneMsg]] = {}
-        self._place: tuple[np.ndarray, np.ndarray] | None = None
-
-    def of(self, planes: Sequence[MapPlane], frames: RosFrames) -> list[MapPlaneMsg]:
-        """Return the messages of planes in odom."""
-        place = frames.R_odom_from_world, frames.t_odom_from_world
-        if self._place is None or not all(map(np.array_equal, place, self._place)):
-            self._made, self._place = {}, place
-        made = [self._made.get(plane.id) for plane in planes]
-        made = [old if old and old[0] is plane else (plane, to_message(
-            MapPlaneMsg, fields.map_plane_to_fields(plane, frames)))
-            for plane, old in zip(planes, made, strict=True)]
-        self._made = {plane.id: (plane, msg) for plane, msg in made}
-        return [msg for _, msg in made]
 
 
 class SceneOutput:
@@ -87,7 +64,7 @@ class SceneOutput:
         self._path_due = self._map_due = self._anew = 0
         self._unshown: tuple[SceneEstimate, RosFrames] | None = None
         self._began: tuple[int, int] | None = None  # resets, and the stamp of the last [ns]
-        self._planes = PlaneMessages()
+        self._planes = PlaneMessages(partial(to_message, MapPlaneMsg))
         self._shown = view_fields.MarkerBoard(
             self._node.settings[FrameSettings].odom_frame)
 

@@ -2,14 +2,17 @@
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from mv_slapse import fields, planner_fields, view_fields
 from mv_slapse.codec.packet import Packet
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.level import levelled, start_to_fields
+from mv_slapse.plane_messages import PlaneMessages
 from mv_slapse.records import (
     Correspondences,
     Extraction,
@@ -19,6 +22,7 @@ from mv_slapse.records import (
     WITH_POSE,
 )
 from mv_slapse.step_diagnostics import StepDiagnostics
+from mv_slapse.storage import messages
 from mv_slapse.storage.bag_writer import McapFile
 from mv_slapse.video_messages import (
     compressed_to_fields,
@@ -27,10 +31,12 @@ from mv_slapse.video_messages import (
     packet_to_fields,
 )
 
+MAP_PLANE = 'mv_slapse_msgs/msg/MapPlane'
+POSE = 'geometry_msgs/msg/PoseStamped'
 MARKERS = 'visualization_msgs/msg/MarkerArray'
 VIDEO = '/video'
 PATH_LENGTH = 1000  # poses of a path
-PATH_PERIOD = 1_000_000_000  # [ns] between two paths: their cost grows with their length
+SLOW = 1_000_000_000  # [ns] between two paths or markers of planes: their cost grows with the way
 
 
 class Step(Protocol):
@@ -50,10 +56,11 @@ class MessageLog:
         """Make the file; the camera's calibration goes to its beginning."""
         self._camera = camera
         self._bag, self._frames = McapFile(path), frames
-        self._planes = view_fields.MarkerBoard(frames.odom)
+        self._surfaces = view_fields.MarkerBoard(frames.odom)
         self._obstacles = view_fields.MarkerBoard(frames.odom)
-        self._poses: deque[fields.Fields] = deque(maxlen=PATH_LENGTH)
-        self._path_due = self._packets = 0
+        self._poses: deque[Any] = deque(maxlen=PATH_LENGTH)
+        self._path_due = self._surfaces_due = self._packets = 0
+        self._planes = PlaneMessages(partial(messages.to_message, MAP_PLANE))
         self._diagnostics = StepDiagnostics()
         self._began: tuple[int, int] | None = None  # resets, and the stamp of the last [ns]
 
@@ -92,8 +99,9 @@ class MessageLog:
             fields.correspondences_to_fields(step.correspondences, frames), stamp)
         put('/planes/observations', 'mv_slapse_msgs/msg/PlaneObservations',
             fields.extraction_to_fields(step.extraction, frames), stamp)
-        put('/planes/map', 'mv_slapse_msgs/msg/PlaneMap',
-            fields.plane_map_to_fields(scene, frames, *self._began), stamp, True)
+        plane_map = fields.plane_map_to_fields(replace(scene, planes=()), frames, *self._began)
+        put('/planes/map', 'mv_slapse_msgs/msg/PlaneMap', plane_map | {
+            'planes': self._planes.of(scene.planes, frames)}, stamp, True)
         put('/obstacles', 'mv_slapse_msgs/msg/ObstacleArray',
             fields.obstacles_to_fields(stamp, step.obstacles, scene.scale_status, frames), stamp)
         sure = planner_fields.sure(step.obstacles)
@@ -104,8 +112,10 @@ class MessageLog:
         for handover in step.handovers:
             put('/planes/handover', 'mv_slapse_msgs/msg/PlaneHandover',
                 fields.handover_to_fields(handover, frames), stamp)
-        planes = view_fields.plane_markers(scene, frames)
-        put('/planes/map_markers', MARKERS, self._planes.show(stamp, planes), stamp, True)
+        if stamp >= self._surfaces_due:
+            self._surfaces_due = stamp + SLOW
+            put('/planes/map_markers', MARKERS, self._surfaces.show(
+                stamp, view_fields.plane_markers(scene, frames)), stamp, True)
         obstacles = view_fields.obstacle_markers(step.obstacles, frames)
         put('/obstacles/markers', MARKERS, self._obstacles.show(stamp, obstacles), stamp)
         state = self._diagnostics.add(step)
@@ -126,8 +136,9 @@ class MessageLog:
             fields.pose_to_fields(scene, frames), stamp)
         put('/twist', 'geometry_msgs/msg/TwistWithCovarianceStamped',
             fields.twist_to_fields(scene, frames), stamp)
-        self._poses.append(fields.pose_stamped_to_fields(scene, frames))
+        self._poses.append(messages.to_message(
+            POSE, fields.pose_stamped_to_fields(scene, frames)))
         if stamp >= self._path_due:
-            self._path_due = stamp + PATH_PERIOD
+            self._path_due = stamp + SLOW
             put('/path', 'nav_msgs/msg/Path',
                 view_fields.path_to_fields(stamp, self._poses, frames), stamp)

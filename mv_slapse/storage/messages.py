@@ -52,12 +52,15 @@ def definition_folder() -> Path:
                         'package with its share folder (make setup, or colcon build)')
 
 
-def to_message(name: str, values: Fields) -> Any:
+def to_message(name: str, values: Fields | Any) -> Any:
     """Return a message of the type ``name`` with the given fields, nested as they are.
 
     As in ROS, a field that is not given is zero or empty; one that does not exist is a KeyError.
+    What is such a message already, as a whole or nested, stays itself.
     """
     make, definition, known = _layout(name)
+    if isinstance(values, make):
+        return values
     if not values.keys() <= known:
         raise KeyError(f'{name} has no field {", ".join(sorted(values.keys() - known))}')
     return make(*[_value(kind, values[field]) if field in values else _default(kind)

@@ -14,7 +14,7 @@ from mv_slapse.config import SceneSettings  # noqa: E402
 from mv_slapse.geometry.ros_frames import R_BODY_FROM_OPTICAL, RosFrames  # noqa: E402
 from mv_slapse.nodes.conversions import stamp_to_msg, to_message  # noqa: E402
 from mv_slapse.nodes.placement import Placement  # noqa: E402
-from mv_slapse.nodes.scene_output import PlaneMessages, SceneOutput  # noqa: E402
+from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
 from mv_slapse.nodes.shell import Shell  # noqa: E402
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
 from mv_slapse.records import Label, MapPlane, Speed, TrackingStatus  # noqa: E402
@@ -291,22 +291,6 @@ def test_the_path_is_bounded(bench):
     feed(bench)
     assert bench.spin(lambda: len(paths) == N, 30)
     assert [len(path.poses) for path in paths] == [1, 2, 3, 3]
-
-
-def test_planes_that_have_not_changed_are_made_messages_once():
-    rng, messages = np.random.default_rng(0), PlaneMessages()
-    planes = [replace(made_up.map_plane(rng), id=id_) for id_ in (3, 7, 8)]
-    frames = RosFrames(t_odom_from_start=rng.normal(size=3))
-    first = messages.of(planes, frames)
-    planes[1] = replace(made_up.map_plane(rng), id=7)
-    second = messages.of(planes[1:], replace(frames))
-    assert second[1] is first[2]
-    assert second[0].normal != first[1].normal
-    moved = replace(frames, t_odom_from_start=rng.normal(size=3))
-    scene = replace(made_up.scene(rng), planes=tuple(planes))
-    expected = to_message(PlaneMap, fields.plane_map_to_fields(scene, moved)).planes
-    assert messages.of(planes, moved) == expected
-    assert messages.of(planes, moved) == expected
 
 
 def test_markers_are_made_for_who_looks_also_once_nothing_comes_any_more(bench, monkeypatch):

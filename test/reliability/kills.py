@@ -220,7 +220,8 @@ def killed(drive: Drive, line: Line, name: str, stands: bool = False) -> Outcome
     begin = time.monotonic()
     if stands:
         drive.pictures(UNSEEN)
-        assert drive.ready(False) and drive.connected(), name
+        assert drive.ready(False), name
+        assert drive.connected(), name
     # what was on its way when the process ended may still come, the later the busier it is
     earliest = max(sent, max(result, default=0))
 
