@@ -63,16 +63,10 @@ def search(segment: Segment, expect: MotionPrior, settings: DecoderSettings) -> 
     there, found = _follow(current, previous, x, start)
     inside = ((there >= 0) & (there < (segment.current.width, segment.current.height))).all(axis=1)
     x, there = x[found & inside], there[found & inside]
-    if not len(x):
-        return _evidence(x, there, settings)
     back, returned = _follow(previous, current, there, x)
     good = returned & (np.abs(back - x).max(axis=1) < RETURN)
-    return _evidence(x[good], there[good], settings)
-
-
-def _evidence(x: np.ndarray, there: np.ndarray, settings: DecoderSettings) -> Evidence:
-    n = len(x)
-    return Evidence(x, there - x,
+    n = np.count_nonzero(good)
+    return Evidence(x[good], there[good] - x[good],
                     np.full(n, settings.bridge_variance, np.float32),
                     np.full((n, 2), MACROBLOCK, np.uint8))
 
@@ -83,6 +77,9 @@ def _centres(width: int, height: int) -> np.ndarray:
 
 
 def _follow(a: np.ndarray, b: np.ndarray, x: np.ndarray, start: np.ndarray):
+    """Return where in b the macroblocks at x (N, 2) of a are, and which (N,) bool were found."""
+    if not len(x):
+        return x, np.zeros(0, bool)
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         a, b, x[:, None], start[:, None].copy(), winSize=(MACROBLOCK + 1, MACROBLOCK + 1),
         maxLevel=LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=FLAT)

@@ -64,8 +64,7 @@ class Chainer:
                 and parallax(pair, self._camera) >= settings.min_parallax)
 
     def _is_due(self) -> bool:
-        age_after_next = (self._chain.stamp - self._chain.previous_stamp
-                          + self._step) / 1e9
+        age_after_next = (self._chain.stamp - self._chain.previous_stamp + self._step) / 1e9
         return (age_after_next > self._settings.max_chain_time
                 or self._links >= self._settings.max_chain or self.is_long(self._chain))
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from mv_slapse.codec.motion_vectors import FrameVectors, PAST
 from mv_slapse.codec.prediction import kernel_frame
-from mv_slapse.codec.segments import Segment
+from mv_slapse.codec.segments import kind_of, Segment
 from mv_slapse.config import DecoderSettings
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import FrameType, SegmentKind
@@ -43,10 +43,6 @@ def collect(segment: Segment, settings: DecoderSettings) -> Evidence:
              for frame in segment.between]
     if segment.current.frame_type is FrameType.P:
         parts.insert(0, compiled.direct(kernel_frame(segment.current)))
-    if len(parts) == 1:
-        return Evidence(*parts[0])
-    parts.append((np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32),
-                  np.zeros(0, np.float32), np.zeros((0, 2), np.uint8)))
     return Evidence(*map(np.concatenate, zip(*parts, strict=True)))
 
 
@@ -83,16 +79,14 @@ def halves(segment: Segment, settings: DecoderSettings) -> tuple[Segment, Segmen
     """Return a segment as two, with its middle B frame as a pose between its key frames.
 
     Where key frames lie so far apart that most of the direct vectors fail, the B frame's own
-    vectors, over half the distance, are good. The half
-    after it holds the B frame's backward vectors, turned round.
+    vectors, over half the distance, are good. The half after it holds the backward ones, turned.
     """
     # Of two B frames the first: in a pyramid it is the one that the other refers to.
     middle = segment.between[(len(segment.between) - 1) // 2]
-    to_past, to_future = compiled.halves(kernel_frame(middle),
-                                         *_bend(segment, middle, settings))
+    to_past, to_future = compiled.halves(kernel_frame(middle), *_bend(segment, middle, settings))
     first = _half(middle, to_past)
     second = replace(_half(segment.current, to_future), references=middle.references)
-    return (Segment(segment.previous, first, (), _first_kind(segment)),
+    return (Segment(segment.previous, first, (), kind_of(segment.previous, first)),
             Segment(first, second, (), SegmentKind.PP))
 
 
@@ -100,7 +94,3 @@ def _half(frame: FrameVectors, columns: tuple) -> FrameVectors:
     x, displacement, _, block = columns
     return replace(frame, frame_type=FrameType.P, is_predicted=False, x=x, block=block,
                    displacement=displacement, direction=np.full(len(x), PAST, np.int8))
-
-
-def _first_kind(segment: Segment) -> SegmentKind:
-    return SegmentKind.IP if segment.previous.frame_type is FrameType.I else SegmentKind.PP

@@ -41,7 +41,7 @@ class FrameDecoder:
         self._with_luma = with_luma
         self._context = None
         self._headers = bitstream.Headers()
-        self._places: places.Places = places.NoPlaces()
+        self._places = places.Places()
         self._stamps, self._continuity = _Stamps(), Continuity()
         self._count = 0
         self._last_key = b''

@@ -9,7 +9,6 @@ temporal_reference), ISO/IEC 14496-2 6.3.5 (modulo_time_base, vop_time_increment
 
 from collections import Counter, deque
 from dataclasses import dataclass
-from typing import Protocol
 
 from mv_slapse.codec.bitstream import BitReader, Headers, SliceHeader
 
@@ -47,11 +46,12 @@ class Place:
     references: int | None = None
 
 
-class Places(Protocol):
-    """Reads the place of each packet, in the order of decoding."""
+class Places:
+    """Reads the place of each packet, in the order of decoding; of none here."""
 
     def read(self, data: bytes) -> Place:
-        """Return the place of a packet's picture."""
+        """Return the place of a packet's picture, which here tells nothing."""
+        return Place()
 
 
 def places_of(codec: str, headers: Headers, extradata: bytes) -> Places:
@@ -60,18 +60,10 @@ def places_of(codec: str, headers: Headers, extradata: bytes) -> Places:
         return OrderCount(headers)
     if codec == 'mpeg4':
         return VopTime(extradata)
-    return GroupPlaces() if codec in ('mpeg1video', 'mpeg2video') else NoPlaces()
+    return GroupPlaces() if codec in ('mpeg1video', 'mpeg2video') else Places()
 
 
-class NoPlaces:
-    """Of codecs whose headers are not read here."""
-
-    def read(self, data: bytes) -> Place:
-        """Return a place that tells nothing."""
-        return Place()
-
-
-class OrderCount:
+class OrderCount(Places):
     """H.264: picture order count, and frame_num where showing follows decoding."""
 
     def __init__(self, headers: Headers):
@@ -112,7 +104,7 @@ class OrderCount:
         return msb + header.order
 
 
-class GroupPlaces:
+class GroupPlaces(Places):
     """MPEG-1 and MPEG-2: the place in a group of pictures, and the group's time code."""
 
     def __init__(self):
@@ -154,7 +146,7 @@ class GroupPlaces:
         self._turns = 0
 
 
-class VopTime:
+class VopTime(Places):
     """MPEG-4 part 2: the time of a picture by modulo_time_base and vop_time_increment."""
 
     def __init__(self, extradata: bytes):

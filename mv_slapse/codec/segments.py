@@ -48,13 +48,14 @@ class SegmentBuilder:
     def _close(self, frame: FrameVectors) -> Segment:
         previous, between = self._previous, tuple(self._between)
         reason = self._damage or _why_broken(previous, between, frame)
-        kind = SegmentKind.BROKEN if reason else _kind(previous, frame)
+        kind = SegmentKind.BROKEN if reason else kind_of(previous, frame)
         torn = bool(self._damage)
         self._previous, self._between, self._damage = frame, [], ''
         return Segment(previous, frame, between, kind, reason, torn)
 
 
-def _kind(previous: FrameVectors, current: FrameVectors) -> SegmentKind:
+def kind_of(previous: FrameVectors, current: FrameVectors) -> SegmentKind:
+    """Return the kind of the segment between two key frames that vectors join."""
     if current.frame_type is FrameType.I:
         return SegmentKind.PI
     return SegmentKind.IP if previous.frame_type is FrameType.I else SegmentKind.PP

@@ -1,6 +1,7 @@
 """Video files and network streams as packets with presentation times."""
 
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from fractions import Fraction
 import os
 from pathlib import Path
@@ -19,8 +20,8 @@ DEFAULT_RATE = Fraction(25)
 CODECS = {'libdav1d': 'av1', 'libaom-av1': 'av1'}
 
 
-class Source:
-    """An open video; a context manager.
+class Source(AbstractContextManager):
+    """An open video.
 
     Attributes
     ----------
@@ -48,11 +49,8 @@ class Source:
         self.fps = float(self._rate or 0)
         self.n_frames = self._stream.frames
         self.has_end = container.duration is not None
-        self.interlaced = _is_interlaced(context)
-
-    def __enter__(self) -> 'Source':
-        """Return itself."""
-        return self
+        # What the parser saw: AV_FIELD_TT and all after it are fields.
+        self.interlaced = int(getattr(context, 'field_order', 0) or 0) > 1
 
     def __exit__(self, *_):
         """Close the file."""
@@ -161,23 +159,18 @@ def _how_to_open(name: str, is_url: bool) -> dict:
     """Return the arguments of av.open: a patience for networks."""
     is_local = not is_url or _protocol(name) == LOCAL
     options = {'protocol_whitelist': LOCAL if is_local else PROTOCOLS}
-    if is_url:
-        # UDP loses packets in silence, and a lost packet is a broken pair.
-        transport = {'rtsp_transport': 'tcp'} if name.startswith('rtsp') else {}
-        return {'options': {**options, **transport}, 'timeout': PATIENCE}
-    return {'options': options}
+    if _protocol(name) == 'rtsp':  # UDP loses packets in silence, and that breaks a pair.
+        options['rtsp_transport'] = 'tcp'
+    return {'options': options} | ({'timeout': PATIENCE} if is_url else {})
 
 
 def _checked(container, name: str) -> Source:
     source = Source(container)
-    try:
-        if source.interlaced:
-            raise UnusableInput('the video is interlaced: its vectors join fields, not frames; '
-                                'deinterlace it with: ffmpeg -i INPUT -vf bwdif -c:v libx264 '
-                                '-refs 1 -bf 0 OUTPUT.mp4')
-    except UnusableInput as error:
+    if source.interlaced:
         source.close()
-        raise UnusableInput(f'{name}: {error}') from None
+        raise UnusableInput(f'{name}: the video is interlaced: its vectors join fields, not '
+                            'frames; deinterlace it with: ffmpeg -i INPUT -vf bwdif '
+                            '-c:v libx264 -refs 1 -bf 0 OUTPUT.mp4')
     return source
 
 
@@ -214,8 +207,3 @@ def _fifo(path: Path) -> BinaryIO:
                             'start the writer first')
     os.set_blocking(number, True)
     return os.fdopen(number, 'rb')
-
-
-def _is_interlaced(context) -> bool:
-    """Return whether the parser saw fields: AV_FIELD_TT and all after it."""
-    return int(getattr(context, 'field_order', 0) or 0) > 1
