@@ -15,13 +15,7 @@ from mv_slapse.geometry.moving_plane import COVERED
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles.view import View
-from mv_slapse.records import (
-    Extraction,
-    Label,
-    PlaneHandover,
-    PlaneObservation,
-    ScalePrior,
-)
+from mv_slapse.records import Extraction, Label, PlaneHandover, PlaneObservation, ScalePrior
 import numpy as np
 
 OUTLINE_SHARE = 0.08  # of a region's size: how well its blocks show its middle
@@ -146,15 +140,9 @@ def joined(group: Sequence[Detection], view: View) -> Detection:
     box = box_of(x, block)
     # All is made anew: what is kept of the first one is the box of its blocks.
     centre = to_rays(view.K, (box[:2] + box[2:] / 2)[None])[0, :2]
-    whole = dataclasses.replace(_moved(first, centre), x=x, block=block)
-    whole.R[om.BEARING, om.BEARING] = bearing_covariance(box, block, view)
-    return _on_ground(whole, view)
-
-
-def _moved(detection, centre):
-    """Return a detection's state about another ray (2,) of its plane."""
-    z, R = compiled.state_about(detection.z, detection.R, centre)
-    return replace(detection, z=z, R=R)
+    z, R = compiled.state_about(first.z, first.R, centre)
+    R[om.BEARING, om.BEARING] = bearing_covariance(box, block, view)
+    return _on_ground(dataclasses.replace(first, z=z, R=R, x=x, block=block), view)
 
 
 def _blocks(extraction, plane_id):

@@ -70,8 +70,7 @@ def _scene_below(surface, lowest, extraction):
     """Whether the scene shows right below a surface, down to the ``lowest`` row."""
     row, box = surface.edge.row, surface.box
     x, y = extraction.x_cur.T
-    below = ((x > box[0]) & (x < box[0] + box[2])
-             & (y > row) & (y < min(row + BELOW, lowest)))
+    below = ((x > box[0]) & (x < box[0] + box[2]) & (y > row) & (y < min(row + BELOW, lowest)))
     still = extraction.label[below] == Label.STATIONARY.value
     return np.count_nonzero(still) > SHOWN * len(still)
 

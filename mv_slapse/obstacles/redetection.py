@@ -53,19 +53,13 @@ def found(mu: np.ndarray, P: np.ndarray, box: np.ndarray, extraction: Extraction
     agree = _fill(extraction, at[own], box, least)
     own = own if agree else near
     seen = box_of(extraction.x_cur[at[own]].astype(float), extraction.block[at[own]].astype(float))
-    z, R = _observed(mu, P, theta / view.dt, np.linalg.inv(information) / view.dt**2)
+    z, R = mu.copy(), np.diag(np.r_[0.0, 0.0, P[2, 2], np.zeros(3), np.full(2, FREE_SLOPE**2)])
+    z[om.RATE], R[om.RATE, om.RATE] = theta / view.dt, np.linalg.inv(information) / view.dt**2
     z[om.BEARING] = to_rays(view.K, (seen[:2] + seen[2:] / 2)[None])[0, :2]
     x, block = tiles(box + FOLLOW * (seen - box))
     R[om.BEARING, om.BEARING] = 4 * bearing_covariance(seen, block, view)
     return blurred(Detection(-1, z, R, False, x, block, ScalePrior.NONE, Edge(0.0, 0.0, 1.0),
                              has_rate=agree), view, settings)
-
-
-def _observed(mu, P, rate, covariance):
-    """Return a state (8,) with a rate that was seen, and its covariance (8, 8)."""
-    z, R = mu.copy(), np.diag(np.r_[0.0, 0.0, P[2, 2], np.zeros(3), np.full(2, FREE_SLOPE**2)])
-    z[om.RATE], R[om.RATE, om.RATE] = rate, covariance
-    return z, R
 
 
 def _free(extraction, box):

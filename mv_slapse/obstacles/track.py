@@ -221,8 +221,7 @@ class Track:
     def time_to_contact(self) -> tuple[float, float]:
         """Return the time until the seen surface reaches the camera's plane, and its variance.
 
-        [s], [s^2]; infinite where the depth does not shrink. The filtered observable of
-        ``planes.moving.time_to_contact``, -1 / rate[2].
+        [s], [s^2]; infinite where the depth does not shrink: -1 / rate[2].
         """
         closing = -self.mu[5]
         if closing <= 0:

@@ -8,13 +8,7 @@ from mv_slapse.blas import one_thread
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.obstacles import (
-    association,
-    footprint,
-    lifecycle,
-    redetection,
-    units,
-)
+from mv_slapse.obstacles import association, footprint, lifecycle, redetection, units
 from mv_slapse.obstacles import track as tracks
 from mv_slapse.obstacles.detection import (
     Detection,
@@ -26,18 +20,12 @@ from mv_slapse.obstacles.detection import (
 )
 from mv_slapse.obstacles.motion_model import CameraStep
 from mv_slapse.obstacles.view import relative_motion, View, view_of
-from mv_slapse.records import (
-    Extraction,
-    Label,
-    Obstacle,
-    PlaneHandover,
-    ScalePrior,
-    SceneEstimate,
-)
+from mv_slapse.records import Extraction, Label, Obstacle, PlaneHandover, ScalePrior, SceneEstimate
 import numpy as np
 
 USED_IDS = 10_000  # remembered, so that none is given twice: half an hour of 5 new ones a second
 OWN_IDS = 1_000_000  # ids from here on are given where a plane's id is another track's already
+TALLEST = 5.0  # [m] of an obstacle: a lorry of 4 m, seen to a macroblock or so
 SAME_DEPTH = 2.0  # times an obstacle's depth, or a share of it, that still is where it was
 TENTATIVE_LIFETIME = 0.25  # [s] a track that is not yet confirmed may go without evidence
 
@@ -238,7 +226,7 @@ class ObstacleTracker:
         if self._view.ground is None:
             return True
         return (track.scale_prior is ScalePrior.GROUND_CONTACT
-                and track.height(self._view) <= self._view.tallest)
+                and track.height(self._view) <= TALLEST * self._view.metre)
 
     def _is_alone(self, track):
         """Tell whether no confirmed obstacle's outline meets a track's: it is no part of one."""

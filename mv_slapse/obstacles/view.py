@@ -10,7 +10,6 @@ import numpy as np
 
 SPAN = 1.0  # [s] whose baselines tell the depth of an obstacle
 UNSCALED_SPEED = 0.1  # a unit, 1 m/s or m/s^2, as a share of the camera's speed, without a scale
-TALLEST = 5.0  # [m] a lorry of 4 m, seen to a macroblock or so
 OUT_OF_SIGHT = 0.2  # [s] a pair or two without ground; up to then the map knows better
 LEAST_SPEED_ERROR = 0.01  # share of the camera's speed, if its filter claims to know better
 
@@ -71,11 +70,6 @@ class View:
             scene_velocity=unit * self.scene_velocity,
             scene_covariance=unit**2 * self.scene_covariance,
             ground=None if self.ground is None else self.ground / unit)
-
-    @property
-    def tallest(self) -> float:
-        """Return how tall [map unit] an obstacle may be, given a ground."""
-        return TALLEST * self.metre
 
     def plane_to_cam(self, plane_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a plane of {W} in the camera, upper half of (16), and the derivative (3, 3)."""

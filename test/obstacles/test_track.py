@@ -4,10 +4,10 @@ from dataclasses import replace
 
 from drawn_movers import Drive, DT, K, Mover, nanoseconds
 from mv_slapse.config import ObstacleSettings
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles import track as tracks
 from mv_slapse.obstacles.detection import (
-    _moved,
     blurred,
     body_box,
     box_of,
@@ -146,14 +146,14 @@ def test_another_middle_of_a_plane_has_the_numerical_derivative(rng):
     centre = item.z[om.BEARING] + 0.05
 
     def state(z):
-        return _moved(replace(item, z=np.r_[item.z[om.BEARING], z]), centre).z[2:]
+        return compiled.state_about(np.r_[item.z[om.BEARING], z], item.R, centre)[0][2:]
     J = jacobian(state, item.z[2:])
     expected = J @ item.R[2:, 2:] @ J.T
-    np.testing.assert_allclose(_moved(item, centre).R[2:, 2:], expected, rtol=1e-5,
-                               atol=1e-6 * np.abs(expected).max())
+    moved, R = compiled.state_about(item.z, item.R, centre)
+    np.testing.assert_allclose(R[2:, 2:], expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
     # The plane and its velocity are the same.
-    np.testing.assert_allclose(om.plane(_moved(item, centre).z), om.plane(item.z))
-    speed = [np.exp(z[2]) * z[om.RATE] for z in (item.z, _moved(item, centre).z)]
+    np.testing.assert_allclose(om.plane(moved), om.plane(item.z))
+    speed = [np.exp(z[2]) * z[om.RATE] for z in (item.z, moved)]
     np.testing.assert_allclose(*speed)
 
 
