@@ -12,7 +12,6 @@ from mv_slapse.kernels.binding import compiled
 import numpy as np
 
 CONFIDENCE = 0.99  # beyond which what was supposed is given up
-
 ROUNDING = 1e-6  # by which an eigenvalue of the correlations may lie below zero
 
 

@@ -9,13 +9,7 @@ from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import UP
 from mv_slapse.geometry.vector import norm
-from mv_slapse.records import (
-    Extraction,
-    MotionStatus,
-    PlaneHandover,
-    Speed,
-    TrackingStatus,
-)
+from mv_slapse.records import Extraction, MotionStatus, PlaneHandover, Speed, TrackingStatus
 from mv_slapse.scene import gating as scene_gate
 from mv_slapse.scene import gauge as scene_gauge
 from mv_slapse.scene import observations as scene_observations

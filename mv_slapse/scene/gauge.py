@@ -33,7 +33,9 @@ def begin_anew(state: SceneState, is_metric: bool):
     swing, T = rotation.skew(state.velocity), np.eye(6)
     T[:3, :3] = state.current.R
     pose = T @ covariance(state, 'current') @ T.T
-    scale = 0.0 if is_metric else min(_speed_sigma(state), UNKNOWN_SCALE)
+    v = state.velocity
+    speed_sigma = float(np.sqrt(v @ state.error.covariance('velocity') @ v) / max(v @ v, 1e-9))
+    scale = 0.0 if is_metric else min(speed_sigma, UNKNOWN_SCALE)  # of their logarithm
     P = np.zeros_like(state.P)
     for name in ('velocity', 'omega', 'mount', 'depth_scale', 'heave'):
         P[state.at(name), state.at(name)] = state.error.covariance(name)
@@ -50,19 +52,12 @@ def doubt_scale(state: SceneState, sigma: float):
     covariance[6, 6] = sigma**2
 
 
-def _speed_sigma(state: SceneState) -> float:
-    """Return the standard deviation of the speed, as a share of it."""
-    v = state.velocity
-    return float(np.sqrt(v @ state.error.covariance('velocity') @ v) / max(v @ v, 1e-9))
-
-
 def covariance(state: SceneState, *names) -> np.ndarray:
     """Return the covariance of blocks of the state in {W}: of their errors and of the gauge."""
     at = np.concatenate([np.arange(state.at(name).start, state.at(name).stop) for name in names])
     J = np.concatenate([jacobian(state, name) for name in names])
     lasting = state.error.lasting[at]
-    return (state.P[at[:, None], at] + lasting @ lasting.T
-            + J @ state.gauge.covariance @ J.T)
+    return state.P[at[:, None], at] + lasting @ lasting.T + J @ state.gauge.covariance @ J.T
 
 
 def jacobian(state: SceneState, name) -> np.ndarray:

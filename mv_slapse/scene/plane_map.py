@@ -1,7 +1,7 @@
 """What the map knows of its planes besides their state: outline, age, support."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mv_slapse.changed import replace
 from mv_slapse.geometry.plane import MOST_KEPT, WELL_SEEN
@@ -13,7 +13,6 @@ import numpy as np
 
 FARTHEST = 30.0  # an outline ends this many plane depths from the camera: beyond, a block's
 #                  position on a grazing plane is noise
-
 MOST_LEFT = 200  # planes that the filter gave up and the map still shows
 
 
@@ -25,7 +24,7 @@ class Sighting:
     last_stamp: int
     n_observations: int = 0
     n_macroblocks: int = 0
-    outline: np.ndarray | None = None
+    outline: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     is_ground: bool = False
 
 
@@ -147,8 +146,7 @@ class SceneMap:
             return place + factor * (outline - place)
 
         self._sightings = {
-            id: replace(s, outline=None if s.outline is None else moved(s.outline))
-            for id, s in self._sightings.items()}
+            id: replace(s, outline=moved(s.outline)) for id, s in self._sightings.items()}
         D = np.array([1.0, 1.0, 1.0, factor])
         self._left = {id: replace(
             plane, depth=plane.depth * factor + (factor - 1) * float(plane.normal @ place),
@@ -180,16 +178,11 @@ class SceneMap:
         normals, depths, covariances = compiled.planes_in_world(
             planes, anchors, state.error.P, state.error.lasting, state.gauge.place,
             state.gauge.covariance)
-        return {id: self._map_plane(id, normals[k], float(depths[k]), covariances[k])
-                for k, id in enumerate(state.planes)}
-
-    def _map_plane(self, id: int, normal: np.ndarray, depth: float, covariance: np.ndarray):
-        """Return the record of a plane in {W}."""
-        sighting = self._sightings[id]
-        outline = np.zeros((0, 3)) if sighting.outline is None else sighting.outline
-        return MapPlane(id, normal, depth, covariance, outline, sighting.first_stamp,
-                        sighting.last_stamp, sighting.n_observations, sighting.n_macroblocks,
-                        sighting.is_ground)
+        return {id: MapPlane(
+            id, normals[k], float(depths[k]), covariances[k],
+            seen.outline, seen.first_stamp, seen.last_stamp, seen.n_observations,
+            seen.n_macroblocks, seen.is_ground)
+            for k, (id, seen) in enumerate((id, self._sightings[id]) for id in state.planes)}
 
     def handover(self, state: SceneState, id: int, stamp: int) -> PlaneHandover:
         """Write a plane down for the obstacle tracker; it starts at rest."""
@@ -203,10 +196,10 @@ class SceneMap:
         return PlaneHandover(stamp, id, Label.MOVING, plane, np.zeros(3), covariance)
 
 
-def _outline(state: SceneState, id: int, old: np.ndarray | None, extraction: Extraction):
+def _outline(state: SceneState, id: int, old: np.ndarray, extraction: Extraction):
     """Return the convex hull (M, 3) in {W} of a plane's macroblocks and an older outline."""
     anchored, pose = state.planes[id], state.current
     return compiled.plane_outline(
         extraction.x_cur, extraction.plane_id, id, extraction.K,
         np.concatenate([pose.R.ravel(), pose.t]), np.array([anchored.plane, anchored.anchor]),
-        np.zeros((0, 3)) if old is None else old, FARTHEST)
+        old, FARTHEST)

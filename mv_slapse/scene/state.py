@@ -34,6 +34,10 @@ class Pose:
         """Return an independent copy."""
         return Pose(self.R.copy(), self.t.copy())
 
+    def moved(self, e: np.ndarray) -> 'Pose':
+        """Return it moved by an error (6,)."""
+        return Pose(self.R @ rotation.exp(e[:3]), self.t + e[3:])
+
 
 @dataclass
 class AnchoredPlane:
@@ -119,7 +123,8 @@ class SceneState:
 
     def moved(self, e: np.ndarray) -> 'SceneState':
         """Return the nominal values moved by an error (n,); the covariance is shared."""
-        pose = {name: self._moved_pose(name, e[self.at(name)]) for name in ('previous', 'current')}
+        pose = {name: getattr(self, name).moved(e[self.at(name)])
+                for name in ('previous', 'current')}
         planes = {id: AnchoredPlane(p.plane + e[self.at(id)], p.anchor)
                   for id, p in self.planes.items()}
         mount = self.mount + e[self.at('mount')]
@@ -128,11 +133,6 @@ class SceneState:
             self.omega + e[self.at('omega')], mount / norm(mount),
             self.depth_scale + float(e[self.at('depth_scale')][0]),
             self.heave + float(e[self.at('heave')][0]), planes, self.error, self.gauge)
-
-    def _moved_pose(self, name: str, e: np.ndarray) -> Pose:
-        """Return a pose moved by its error (6,)."""
-        pose = getattr(self, name)
-        return Pose(pose.R @ rotation.exp(e[:3]), pose.t + e[3:])
 
     def error_to(self, other: 'SceneState') -> np.ndarray:
         """Return the error (n,) that moves the camera's poses to another state's."""
@@ -255,8 +255,7 @@ def turn_on_the_spot(state: SceneState, R_cur_from_prev: np.ndarray, covariance:
     state.previous = state.current.copy()
     state.current = Pose(state.current.R @ R_cur_from_prev.T, state.current.t.copy())
     ekf.predict_rows(state.error, np.arange(VEL), F, Q)
-    state.error.lasting[THETA, FOCAL] -= focal_sigma * stretched(
-        rotation.log(R_cur_from_prev))
+    state.error.lasting[THETA, FOCAL] -= focal_sigma * stretched(rotation.log(R_cur_from_prev))
 
 
 def plane_in_camera(state: SceneState, id: int) -> np.ndarray:

@@ -109,7 +109,7 @@ def begin(state: SceneState, depths: Depths, sigma: float) -> bool:
 
 
 def move(state: SceneState, log_ratio: float, sigma: float):
-    """Move the scale of the depths by log(|t| now / |t| of the pair before), see planes.scale."""
+    """Move the scale of the depths by log(|t| now / |t| of the pair before)."""
     at = state.at('depth_scale')
     state.depth_scale += log_ratio
     state.error.P[at, at] += sigma**2
