@@ -7,12 +7,7 @@ factor, and of the blocks in each macroblock of that sensor the most telling one
 
 from dataclasses import replace
 
-from mv_slapse.geometry.blocks import (
-    grid_centres,
-    grid_index,
-    grid_shape,
-    MACROBLOCK,
-)
+from mv_slapse.geometry.blocks import grid_centres, grid_index, grid_shape, MACROBLOCK
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Correspondences, Extraction

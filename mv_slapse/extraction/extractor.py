@@ -11,24 +11,14 @@ from mv_slapse.extraction.pair_estimate import Found, labels, observations
 from mv_slapse.extraction.state import Memory
 from mv_slapse.geometry import rotation, two_view
 from mv_slapse.geometry.camera import Camera, undistort
-from mv_slapse.motion import (
-    estimate,
-    planar_ambiguity,
-    status,
-)
+from mv_slapse.motion import estimate, planar_ambiguity, status
 from mv_slapse.motion import observations as block_observations
 from mv_slapse.motion.estimate import MotionFit, refined_from
 from mv_slapse.motion.observations import BlockObservations, Depths
 from mv_slapse.movers import possibly_dynamic, regions
 from mv_slapse.movers.mask import Silhouettes
 from mv_slapse.movers.reference_depth import departure, depths_of
-from mv_slapse.records import (
-    CameraMotion,
-    Correspondences,
-    Extraction,
-    Label,
-    MotionStatus,
-)
+from mv_slapse.records import CameraMotion, Correspondences, Extraction, Label, MotionStatus
 from mv_slapse.surfaces import ground, joint, plane_search
 from mv_slapse.surfaces.block_map import BaselineRatio, BlockMap
 from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride
@@ -168,8 +158,7 @@ class PlaneExtractor:
         still = np.linalg.norm(blank.x_cur - blank.x_prev, axis=1) < 0.5
         self._memory = replace(self._memory, stamp=blank.stamp, previous_stamp=None, movers=None,
                                map=self._map(blank).rested(blank.stamp))
-        motion = CameraMotion(MotionStatus.STANDSTILL,
-                              covariance=np.diag([1e-8] * 3 + [0.0] * 3))
+        motion = CameraMotion(MotionStatus.STANDSTILL, covariance=np.diag([1e-8] * 3 + [0.0] * 3))
         return self._without_baseline(blank, motion, still)
 
     def _observed(self, pair: two_view.Pair, fit: MotionFit) -> BlockObservations:

@@ -1,6 +1,5 @@
 """Correspondences of a key frame pair as the extraction takes them, and which it cannot use."""
 
-
 from mv_slapse.changed import replace
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry import two_view

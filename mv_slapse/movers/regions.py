@@ -15,13 +15,7 @@ from mv_slapse.geometry.blocks import count_macroblocks, MACROBLOCK
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.movers import body
 from mv_slapse.movers.identity import FADING, FIRST_ID, ids_of, Judged, Memory
-from mv_slapse.movers.moving_plane import (
-    fit_surfaces,
-    Regions,
-    settled,
-    Surfaces,
-    View,
-)
+from mv_slapse.movers.moving_plane import fit_surfaces, Regions, settled, Surfaces, View
 from mv_slapse.movers.outlines import NOT_KNOWN, outlines
 from mv_slapse.movers.outlines import RULES as OUTLINE
 from mv_slapse.movers.score import departures, scores
@@ -263,5 +257,4 @@ def _labelled(extraction, alike, planes, ids, told, view):
         found.append(PlaneObservation(
             int(ids[i]), Label.MOVING, *plane, False, count_macroblocks(extraction.x_cur[member]),
             float(max(told.total[i], told.gone[i]))))
-    return replace(extraction, label=label, plane_id=plane_id,
-                   planes=(*extraction.planes, *found))
+    return replace(extraction, label=label, plane_id=plane_id, planes=(*extraction.planes, *found))

@@ -179,8 +179,7 @@ class GroundTrack:
         tilt = (1 / own**2 + 1 / self.mount.spread**2) ** -0.5
         # Suspension and slope change the height by a few per cent between key frames.
         spread = np.sqrt(self.spread**2 + ratio_sigma**2 + HEIGHT_WOBBLE**2)
-        return GroundPrior(expected / norm(expected), tilt, inverse_depth, spread,
-                           self.n_missed)
+        return GroundPrior(expected / norm(expected), tilt, inverse_depth, spread, self.n_missed)
 
     def seen(self, id: int, plane: np.ndarray, covariance: np.ndarray) -> 'GroundTrack':
         """Return the track after the ground was found, with its covariance (3, 3)."""
