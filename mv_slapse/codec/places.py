@@ -9,6 +9,7 @@ temporal_reference), ISO/IEC 14496-2 6.3.5 (modulo_time_base, vop_time_increment
 
 from collections import Counter, deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from mv_slapse.codec.bitstream import BitReader, Headers, SliceHeader
 
@@ -18,14 +19,23 @@ FRAME_RATES = (0, 24, 24, 25, 30, 30, 50, 60, 60)  # [1/s] that time codes count
 B_PICTURE, B_VOP = 3, 2
 TURN = 1024  # values of temporal_reference
 KEPT = 64  # packets: no encoder reorders farther, and none need wait longer for its picture
-RECENT = 32  # steps of a clock that say what is usual
-LONG = 1.5  # times the longest usual step: a lost picture doubles the step
-ALIKE = 0.1  # share by which steps of one rate may differ
-AGAIN = 2  # long steps after a long one and alike, which are no losses but a new rate
-FEW, ENOUGH = 2, 8  # steps that tell what is usual of a steady clock, and of any
-WHOLE = 0.25  # usual steps by which stamps may depart from a steady clock
-STEADY = 0.6  # share of the usual step of a count, below which it does not count pictures
 LOST = 'pictures were lost'
+
+
+class Rules(NamedTuple):
+    """Constants of the step that is usual from picture to picture."""
+
+    recent: int = 32  # steps of a clock that say what is usual
+    long: float = 1.5  # times the longest usual step: a lost picture doubles the step
+    alike: float = 0.1  # share by which steps of one rate may differ
+    again: int = 2  # long steps after a long one and alike, which are no losses but a new rate
+    few: int = 2  # steps that tell what is usual of a steady clock,
+    enough: int = 8  # and of any
+    whole: float = 0.25  # usual steps by which stamps may depart from a steady clock
+    steady: float = 0.6  # share of a count's steps that are usual, if it counts pictures
+
+
+RULES = Rules()
 
 
 @dataclass(frozen=True)
@@ -233,7 +243,7 @@ class Continuity:
         self._places: dict[int, Place] = {}
         self._events: dict[int, str] = {}
         self._last: Place | None = None
-        self._steps: deque[int] = deque(maxlen=2 * RECENT)
+        self._steps: deque[int] = deque(maxlen=2 * RULES.recent)
         self._usual, self._length = 1, None
         self._stamps, self._times = _Clock(), _Clock()
 
@@ -290,7 +300,7 @@ class Continuity:
             return None
         self._steps.append(place.count - last.count)
         self._usual, times = _most_common(self._steps)
-        if times < STEADY * len(self._steps):
+        if times < RULES.steady * len(self._steps):
             return None
         return place.count - last.count == self._usual
 
@@ -312,7 +322,7 @@ class _Clock:
     """What step of a clock is usual from picture to picture."""
 
     def __init__(self):
-        self._recent: deque[int] = deque(maxlen=RECENT)
+        self._recent: deque[int] = deque(maxlen=RULES.recent)
         self._last: int | None = None
         self._odd = self._times = 0
 
@@ -322,27 +332,27 @@ class _Clock:
         step = 0 if last is None else value - last
         if last is None or follows is False:
             return False
-        late = follows is None and self._is_known() and step > LONG * max(self._recent)
-        alike = late and abs(step - self._odd) <= ALIKE * step
+        late = follows is None and self._is_known() and step > RULES.long * max(self._recent)
+        alike = late and abs(step - self._odd) <= RULES.alike * step
         self._odd, self._times = (step, self._times + 1 if alike else 0) if late else (0, 0)
-        again = self._times >= AGAIN
+        again = self._times >= RULES.again
         if step > 0 and (again or not late):
             self._recent.append(step)
         return late and not again
 
     def left_out(self, value: int) -> int:
         """Return how many pictures a steady clock would have shown before this one; else 0."""
-        if self._last is None or len(self._recent) < FEW or not self._is_steady():
+        if self._last is None or len(self._recent) < RULES.few or not self._is_steady():
             return 0
         steps = (value - self._last) / sorted(self._recent)[len(self._recent) // 2]
-        return round(steps) - 1 if abs(steps - round(steps)) < WHOLE else 0
+        return round(steps) - 1 if abs(steps - round(steps)) < RULES.whole else 0
 
     def _is_known(self) -> bool:
         n = len(self._recent)
-        return n >= ENOUGH or n >= FEW and self._is_steady()
+        return n >= RULES.enough or n >= RULES.few and self._is_steady()
 
     def _is_steady(self) -> bool:
-        return max(self._recent) <= (1 + WHOLE) * min(self._recent)
+        return max(self._recent) <= (1 + RULES.whole) * min(self._recent)
 
 
 def forget(items: dict[int, object], first: int):
