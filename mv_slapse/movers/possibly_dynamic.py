@@ -15,7 +15,6 @@ from mv_slapse.records import Extraction, Label
 import numpy as np
 
 REACH = (1.0, 0.3)  # of a mover's height above and below it: a bus found by its lower half
-SLACK = (1.0, 0.12)  # px, share of the parallax: by how much a mover's own vectors differ
 LEAST_LEFT = 0.3  # share of the blocks that must be left to estimate the motion from
 
 
@@ -32,7 +31,7 @@ def like_movers(shown: Extraction, parallax: np.ndarray) -> np.ndarray:
                                 shown.motion.R_cur_from_prev)
     return compiled.blocks_like_movers(
         shown.x_cur, shown.x_prev, shown.plane_id, parallax, np.array([m.id for m in movers]),
-        np.reshape(H, (-1, 9)), REACH, SLACK)
+        np.reshape(H, (-1, 9)), REACH, (RULES.alike, RULES.alike_share))
 
 
 def below(rays: np.ndarray, rho: np.ndarray, blur: np.ndarray, floor: np.ndarray,
