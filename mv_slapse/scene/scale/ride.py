@@ -17,13 +17,23 @@ from mv_slapse.scene.observations import Observation
 from mv_slapse.scene.state import HEIGHT, N_LASTING, plane_in_camera, relative_motion, SceneState
 import numpy as np
 
-WAY = 10.0  # heights over which the camera must keep to the ground: 15 m of a car
-LEAST = 10  # pairs in which it does
-# RMS over that way of the course's angle with the ground, of the normal's about its mean, and of
-# the log of the height: cars showed at most 0.012, 0.027 and 0.05, a walk and flights 0.1 and more
-OFF, SWING, CHANGE = 0.02, 0.03, 0.05
-RELEASE = 2.0  # times these: the camera leaves the ground
-LEAP = 0.08  # rad: or by one course, so far off; vehicles showed 0.02 at most
+
+class Rules(NamedTuple):
+    """Constants of keeping to the ground.
+
+    RMS over the way: cars showed at most 0.012, 0.027 and 0.05, a walk and flights 0.1 and more.
+    """
+
+    way: float = 10.0  # heights over which the camera must keep to the ground: 15 m of a car
+    least: int = 10  # pairs in which it does
+    off: float = 0.02  # rad, RMS of the course's angle with the ground,
+    swing: float = 0.03  # rad, of the normal's about its mean,
+    change: float = 0.05  # and of the log of the height
+    release: float = 2.0  # times the angles: the camera leaves the ground
+    leap: float = 0.08  # rad: or by one course, so far off; vehicles showed 0.02 at most
+
+
+RULES = Rules()
 
 
 class Sight(NamedTuple):
@@ -69,7 +79,7 @@ class Ride:
         normal = np.mean([sight.normal for sight in self.sights], axis=0)
         off = abs(normal @ motion.t_cur_from_prev)
         sigma = np.sqrt(normal @ motion.covariance[3:, 3:] @ normal)
-        return _released(state) if off > LEAP + 3 * sigma else self
+        return _released(state) if off > RULES.leap + 3 * sigma else self
 
     def seen(self, state: SceneState, ground: int) -> 'Ride':
         """Return it after an update by one more pair, whose ``ground`` is a plane of the map.
@@ -78,13 +88,14 @@ class Ride:
         a height that is taken becomes an error that lasts.
         """
         depth, H = scene_observations.height_above(state, ground)
-        sights = _last((*self.sights, _sight(state, ground, depth)), WAY * depth)
+        sights = _last((*self.sights, _sight(state, ground, depth)), RULES.way * depth)
         off, swing, change = _departures(sights)
         if self.height:
-            left = off > RELEASE * OFF or swing > RELEASE * SWING
+            left = off > RULES.release * RULES.off or swing > RULES.release * RULES.swing
             return _released(state) if left else replace(self, sights=sights)
-        far = len(sights) >= LEAST and sum(sight.way for sight in sights) >= WAY * depth
-        if far and off < OFF and swing < SWING and change < CHANGE:
+        long = sum(sight.way for sight in sights) >= RULES.way * depth
+        if len(sights) >= RULES.least and long and off < RULES.off and (
+                swing < RULES.swing and change < RULES.change):
             error = ekf.consider(state.error, H, HEIGHT.start)
             return replace(self, height=depth, error=error, sights=sights)
         return replace(self, sights=sights)
