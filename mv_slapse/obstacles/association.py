@@ -3,25 +3,33 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from math import copysign
+from typing import NamedTuple
 
 from mv_slapse.filters import ekf
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import motion_model as om
-from mv_slapse.obstacles.detection import Detection
+from mv_slapse.obstacles.detection import Detection, MOST
 import numpy as np
 
-FORBIDDEN = 1e6
-OVERLAP_COST = 10.0  # of no overlap at all, against a squared distance
-MIN_OVERLAP = 0.1  # that counts
-OTHER_ID_COST = 2.0
-RESCUE = 4.0  # a well overlapping detection may be this many gates off, and then counts less
-SAME_ID_RESCUE = 16.0  # the same, if the extractor calls it the same region
 DEPTH_RATIO = (0.6, 1.6)  # between two surfaces of one vehicle,
 SIMILAR_RATIO = (0.8, 1.25)  # if their lower edges tell otherwise: one need not be a foot
 GAP_SHARE = 0.25  # of a vehicle's smaller side that may have no vectors between two of its parts
 MARGIN = 0.5  # share of an obstacle's size by which more of it may come into view
-INSIDE = 0.5  # share of a part's box that the whole's box holds
+
+
+class Costs(NamedTuple):
+    """Constants of what it costs that a detection continues a track, beside squared distance."""
+
+    forbidden: float = 1e6
+    apart: float = 10.0  # of no overlap at all
+    least_overlap: float = 0.1  # that counts
+    other_id: float = 2.0
+    rescue: float = 4.0  # gates that one which overlaps well may be off, and then counts less
+    rescue_same_id: float = 16.0  # the same, if the extractor calls it the same region
+
+
+COST = Costs()
 
 
 def overlap(x: np.ndarray, other: np.ndarray) -> float:
@@ -80,19 +88,19 @@ def associate(tracks: Sequence, detections: Sequence[Detection],
     cost = np.array([[_cost(track, detection, gate) for detection in detections]
                      for track in tracks])
     columns = compiled.cheapest_assignment(cost).tolist()
-    return [(i, j) for i, j in enumerate(columns) if j >= 0 and cost[i, j] < FORBIDDEN]
+    return [(i, j) for i, j in enumerate(columns) if j >= 0 and cost[i, j] < COST.forbidden]
 
 
 def _cost(track, detection, gate):
     shared = overlap(track.x, detection.x)
-    if shared < MIN_OVERLAP:
-        return FORBIDDEN
+    if shared < COST.least_overlap:
+        return COST.forbidden
     distance, dof = squared_distance(track.mu, track.P, detection)
     same_id = track.plane_id == detection.id
-    rescue = SAME_ID_RESCUE if same_id else RESCUE
-    if distance > ekf.chi2_bound(gate, dof) * (rescue if shared > 0.5 else 1.0):
-        return FORBIDDEN
-    return distance + OVERLAP_COST * (1 - shared) + OTHER_ID_COST * (not same_id)
+    rescue = COST.rescue_same_id if same_id else COST.rescue
+    if distance > ekf.chi2_bound(gate, dof) * (rescue if shared > MOST else 1.0):
+        return COST.forbidden
+    return distance + COST.apart * (1 - shared) + COST.other_id * (not same_id)
 
 
 def groups(detections: Sequence[Detection], gate: float,
@@ -135,7 +143,7 @@ def _covers(box, part):
     first, highest, last, lowest = _edges(part)
     held = (max(min(right, last) - max(left, first), 0.0)
             * max(min(bottom, lowest) - max(top, highest), 0.0))
-    return held > INSIDE * (last - first) * (lowest - highest)
+    return held > MOST * (last - first) * (lowest - highest)
 
 
 def same_body(one: Detection, other: Detection, gate: float) -> bool:
@@ -167,7 +175,7 @@ def _touch(a, b):
 def _share_depth(one, other):
     """Whether depths agree; what lies above another surface has no contact of its own."""
     (left, _, right, _), (first, _, last, _) = _edges(one.box), _edges(other.box)
-    if (min(right, last) - max(left, first) > 0.5 * min(right - left, last - first)
+    if (min(right, last) - max(left, first) > MOST * min(right - left, last - first)
             or not (one.has_depth and other.has_depth)):
         return True
     sigma = np.sqrt(one.R[2, 2] + other.R[2, 2])

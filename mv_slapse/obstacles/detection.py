@@ -22,6 +22,7 @@ OUTLINE_SHARE = 0.08  # of a region's size: how well its blocks show its middle
 CUT_SHARE = 0.3  # the same, and of its depth, where the picture's edge cuts it off
 TURN_SHARE = 0.015  # of its motion by a turn of the camera: 0.010 to 0.021 in six rendered spins
 SHAPE_SHARE = 0.03  # of a rate: vehicles are no planes, and their faces move apart
+MOST = 0.5  # share of what there is, blocks or a box, beyond which something is most of it
 THINNEST = 0.25  # share of the most blocks in a row or column: a cabin has more of a body
 SLIVER = 2.0  # px by which neighbouring blocks may overlap, as predicted
 SHARES = np.array([MACROBLOCK, OUTLINE_SHARE, CUT_SHARE])

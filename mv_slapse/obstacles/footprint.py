@@ -11,15 +11,14 @@ from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.vector import norm
 from mv_slapse.obstacles import motion_model as om
-from mv_slapse.obstacles.detection import box_of, Detection
+from mv_slapse.obstacles.detection import box_of, Detection, MOST
 from mv_slapse.obstacles.view import View
 from mv_slapse.records import Extraction, Label
 import numpy as np
 
 WIDTH, LENGTH = 2.55, 18.75  # [m] of the largest vehicles on roads, directive 96/53/EC
 SURE = 2.0  # standard deviations by which all may be in favour of one vehicle
-BELOW = 2 * MACROBLOCK  # px below a surface where the road shows if it is a foot,
-SHOWN = 0.5  # as this share of the blocks there
+BELOW = 2 * MACROBLOCK  # px below a surface where most blocks show the road if it is a foot
 
 
 def may_be_one(whole: Detection, view: View) -> bool:
@@ -72,7 +71,7 @@ def _scene_below(surface, lowest, extraction):
     x, y = extraction.x_cur.T
     below = ((x > box[0]) & (x < box[0] + box[2]) & (y > row) & (y < min(row + BELOW, lowest)))
     still = extraction.label[below] == Label.STATIONARY.value
-    return np.count_nonzero(still) > SHOWN * len(still)
+    return np.count_nonzero(still) > MOST * len(still)
 
 
 def _aside(surface, view):

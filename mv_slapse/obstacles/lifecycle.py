@@ -10,17 +10,32 @@ from typing import NamedTuple
 from mv_slapse.config import ExtractionSettings, ObstacleSettings
 from mv_slapse.filters import ekf
 
-# Log-likelihood that successive detections are one body, against regions of wrong vectors, as
-# measured (496 detections of both kinds): normalised innovation / dof in the median 0.2 (rendered)
-# and 0.7 (real) against 2.3, overlap with the predicted box 0.76 against 0.43.
-NIS_GAIN, EVEN_NIS, LEAST_NIS, MOST_NIS = 1.1, 0.95, 0.1, 6.0
-OVERLAP_GAIN, EVEN_OVERLAP, LEAST_OVERLAP = 9.0, 0.78, 0.5
-ONE_BODY = 1.2  # of it, at which a body is believed: three to one
-# Chi-square at which labels call a region moving, and beyond it for a unit of that: wrong vectors
-# do not last, of 37 regions in kitti00, parking and crossings the highest but one came to 26.
-EVEN_SCORE, PER_SCORE = ExtractionSettings.moving_score, 15.0
-INDEPENDENT = 0.1  # [s] after which an outline of wrong vectors is another one
 STILL_SHARE = 0.6  # of an obstacle's blocks that the labels call stationary
+
+
+class Rules(NamedTuple):
+    """Constants of the log-likelihood that successive detections are one body, no wrong vectors.
+
+    As measured (496 detections of both kinds): normalised innovation / dof in the median 0.2
+    (rendered) and 0.7 (real) against 2.3, overlap with the predicted box 0.76 against 0.43.
+    """
+
+    nis_gain: float = 1.1  # of the log of the normalised innovation / dof
+    even_nis: float = 0.95  # at which it tells nothing,
+    least_nis: float = 0.1  # and between which it tells more and more
+    most_nis: float = 6.0
+    overlap_gain: float = 9.0
+    even_overlap: float = 0.78
+    least_overlap: float = 0.5
+    believed: float = 1.2  # at which a body is: three to one
+    even_score: float = ExtractionSettings.moving_score  # chi-square: labels call it moving
+    # Beyond it for a unit: wrong vectors do not last, of 37 regions in kitti00, parking and
+    # crossings the highest but one came to 26.
+    per_score: float = 15.0
+    independent: float = 0.1  # [s] after which an outline of wrong vectors is another one
+
+
+RULES = Rules()
 
 
 class Evidence(NamedTuple):
@@ -54,8 +69,9 @@ def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSe
     moves, lasts = newest.statistic + newest.score > bound, newest.statistic > bound and alone
     lasted = 1e-9 * (newest.stamp - recent[0].start)
     first_only = not any(e.dof for e in evidence)  # which only the settings can let suffice
+    body = one_body(evidence) + lasts * _lasting(newest.score)
     return (moves and newest.speed >= slowest and lasted >= settings.confirm_time - 1e-6
-            and (first_only or one_body(evidence) + lasts * _lasting(newest.score) >= ONE_BODY))
+            and (first_only or body >= RULES.believed))
 
 
 def _lasting(score):
@@ -63,7 +79,7 @@ def _lasting(score):
 
     A vehicle whose outline jumps, as where another one hides a part of it, moves all the same.
     """
-    return max(score - EVEN_SCORE, 0.0) / PER_SCORE
+    return max(score - RULES.even_score, 0.0) / RULES.per_score
 
 
 def one_body(evidence: Sequence[Evidence]) -> float:
@@ -75,15 +91,16 @@ def one_body(evidence: Sequence[Evidence]) -> float:
     total = 0.0
     for e in evidence:
         if e.dof:
-            weight = min(1e-9 * (e.stamp - e.start) / INDEPENDENT, 1.0)
+            weight = min(1e-9 * (e.stamp - e.start) / RULES.independent, 1.0)
             total = max(total + weight * _favour(e.nis / e.dof, e.overlap), 0.0)
     return total
 
 
 def _favour(nis, overlap):
     """Return what one detection adds."""
-    moves = NIS_GAIN * math.log(EVEN_NIS / min(max(nis, LEAST_NIS), MOST_NIS))
-    return moves + OVERLAP_GAIN * (max(overlap, LEAST_OVERLAP) - EVEN_OVERLAP)
+    bounded = min(max(nis, RULES.least_nis), RULES.most_nis)
+    outline = max(overlap, RULES.least_overlap) - RULES.even_overlap
+    return RULES.nis_gain * math.log(RULES.even_nis / bounded) + RULES.overlap_gain * outline
 
 
 def stands_still(evidence: Sequence[Evidence], unit: float, settings: ObstacleSettings) -> bool:
@@ -113,6 +130,4 @@ def melts_into_scene(speed: float, sigma: float, still_share: float, unit: float
 
 def within(evidence: Sequence[Evidence], seconds: float) -> list[Evidence]:
     """Return the evidence whose pair ended in the last seconds before the newest."""
-    if not evidence:
-        return []
     return [e for e in evidence if 1e-9 * (evidence[-1].stamp - e.stamp) <= seconds]

@@ -17,13 +17,13 @@ from mv_slapse.obstacles.detection import (
     Detection,
     Edge,
     inside,
+    MOST,
     tiles,
 )
 from mv_slapse.obstacles.view import View
 from mv_slapse.records import Extraction, Label, MotionStatus, ScalePrior
 import numpy as np
 
-LEAST_SHARE = 0.5  # of the blocks there that must move with the obstacle
 LEAST_COVERED = 0.3  # share of its box, and of the lower half of that, that these must cover
 ITERATIONS, COARSE = 8, 3  # of the reweighting, and of these with a wider kernel
 FOLLOW = 0.3  # share by which the outline follows what is found
@@ -46,7 +46,7 @@ def found(mu: np.ndarray, P: np.ndarray, box: np.ndarray, extraction: Extraction
     theta, information, near, own = _rate(
         mu, P, rays, extraction.x_prev[at].astype(float),
         extraction.sigma[at].astype(float)**2 + settings.vector_bias**2, view)
-    least = max(settings.min_macroblocks, LEAST_SHARE * len(at))
+    least = max(settings.min_macroblocks, MOST * len(at))
     if not _fill(extraction, at[near], box, least):
         return None
     # What of the blocks is its own, and so how it moves, is not to be told where they disagree.

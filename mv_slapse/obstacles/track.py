@@ -21,13 +21,21 @@ import numpy as np
 KEPT_EVIDENCE = 2.0  # [s]
 DRIFT_GAIN = 0.3
 UNREST_RANGE = (0.3, 3.0)  # of the acceleration, calm and in a manoeuvre
-EDGE_SHARE = 0.3  # [1/sqrt(s)]
 POINT_SHARE, PART_SHARE = 0.1, 0.5  # of an obstacle's size; the latter at the picture's edge
-FOOT_SIGMA = 2.5  # [px] by which it is wrong for as long as the obstacle looks the same
 OUTLINE_TIMES = 2.0  # correlation times over which outlines are averaged, which err alike in one
 NO_PLANE = -1  # id of the plane of a track whose plane is another one's now
-CLEARANCE = 0.12  # of ln Z: vehicles seen from behind end 0.2 m above the road, of 1.65 m
-BOUNDARY_SIGMA = 3.0  # [px] of a lower edge that is seen to cross from one row to the next
+
+
+class EdgeRules(NamedTuple):
+    """Constants of what the lower edge tells of the depth."""
+
+    share: float = 0.3  # [1/sqrt(s)] of its uncertainty that comes anew with time
+    foot_sigma: float = 2.5  # [px] by which it is wrong for as long as the obstacle looks the same
+    crossing_sigma: float = 3.0  # [px] where it is seen to cross from one row to the next
+    clearance: float = 0.12  # of ln Z: vehicles from behind end 0.2 m above the road, of 1.65 m
+
+
+EDGE = EdgeRules()
 
 
 class Match(NamedTuple):
@@ -82,7 +90,7 @@ class Track:
         self.extent[:2] += new - growth * old
         # The block that hides the lower edge moves on with time, and its error with it: ln Z is
         # never known better than a share of it.
-        Q[2, 2] += (EDGE_SHARE * self.edge.half / self.edge.drop)**2 * step.dt
+        Q[2, 2] += (EDGE.share * self.edge.half / self.edge.drop)**2 * step.dt
         self.mu, self.P = mu, F @ self.P @ F.T + Q
         return bool(np.minimum(self.box(view), self.body(view))[2:].min() > 0)
 
@@ -181,7 +189,7 @@ class Track:
         if not detection.has_depth or z[2] == self.mu[2]:
             return detection
         R[2, :], R[:, 2] = 0.0, 0.0
-        R[2, 2] = (BOUNDARY_SIGMA**2 + moved**2 / 12) / edge.drop**2
+        R[2, 2] = (EDGE.crossing_sigma**2 + moved**2 / 12) / edge.drop**2
         return replace(detection, z=z, R=R)
 
     def witness(self, extraction: Extraction, view: View, detection: Detection,
@@ -189,7 +197,7 @@ class Track:
         """Keep what the newest detection says, for plane management."""
         self.last_seen = extraction.stamp
         # A bumper ends above the road, so that what stands looks as if it came towards the camera.
-        nearer = CLEARANCE if self.scale_prior is ScalePrior.GROUND_CONTACT else 0.0
+        nearer = EDGE.clearance if self.scale_prior is ScalePrior.GROUND_CONTACT else 0.0
         statistic = om.moving_statistic(self.mu, self.P, view.scene_velocity,
                                         view.compared_covariance, nearer)
         speed = norm(self.motion(view).velocity)
@@ -234,7 +242,7 @@ class Track:
         state = ObstacleState.TENTATIVE if not self.confirmed else (
             ObstacleState.CONFIRMED if seen else ObstacleState.COASTING)
         if self.scale_prior is ScalePrior.GROUND_CONTACT and view.ground is not None:
-            foot = (self.edge.row, FOOT_SIGMA / self.edge.drop, view.ground,
+            foot = (self.edge.row, EDGE.foot_sigma / self.edge.drop, view.ground,
                     view.ground_normal_covariance)
         # A vehicle shows some of its side as well, and the picture's edge may cut it off.
         share = PART_SHARE if is_cut(box, view).any() else POINT_SHARE

@@ -10,14 +10,7 @@ from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.obstacles import association, footprint, lifecycle, redetection, units
 from mv_slapse.obstacles import track as tracks
-from mv_slapse.obstacles.detection import (
-    Detection,
-    detections,
-    from_handover,
-    inside,
-    joined,
-    tiles,
-)
+from mv_slapse.obstacles.detection import detections, from_handover, inside, joined, tiles
 from mv_slapse.obstacles.motion_model import CameraStep
 from mv_slapse.obstacles.view import relative_motion, View, view_of
 from mv_slapse.records import Extraction, Label, Obstacle, PlaneHandover, ScalePrior, SceneEstimate
@@ -178,7 +171,8 @@ class ObstacleTracker:
                 home.continue_as(track)
         self._tracks = kept
 
-    def _begin(self, free: list[Detection], extraction):
+    def _begin(self, free, extraction):
+        """Start a track for each of the detections that no track has."""
         for detection in free:
             self._tracks.append(tracks.start(detection, extraction, self._view,
                                              self._new_id(detection.id)))

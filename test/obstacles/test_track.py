@@ -169,7 +169,7 @@ def test_a_jump_of_the_edge_puts_it_between_the_two_rows(rng):
     found = edge_evidence(track, detection)
     # Eight rows higher up the ground is seen at f h / (drop - 8).
     assert np.exp(found.z[2] - detection.z[2]) == pytest.approx(edge.drop / (edge.drop - 8))
-    assert found.R[2, 2] == pytest.approx((tracks.BOUNDARY_SIGMA / edge.drop)**2)
+    assert found.R[2, 2] == pytest.approx((tracks.EDGE.crossing_sigma / edge.drop)**2)
 
 
 @pytest.mark.parametrize('side', [-1, 1])
