@@ -12,6 +12,14 @@ def off_plane(depths, plane):
     return (depths.rho + depths.rays @ plane) / depths.sigma
 
 
+def distance(prior, planes):
+    """Return the squared Mahalanobis distance (N,) of planes (N, 3); those facing down are far."""
+    length = np.linalg.norm(planes, axis=1)
+    angle = np.arccos(np.clip(planes @ prior.normal / length, -1, 1))
+    return (np.square(angle / prior.tilt)
+            + np.square(np.log(length / prior.inverse_depth) / prior.spread))
+
+
 def moved(probability, log_ratio, width):
     """Return a belief moved by a log ratio and spread by a width."""
     after = np.interp(GRID + log_ratio, GRID, probability, 0.0, 0.0)
@@ -104,14 +112,14 @@ def find_ground(depths, free, prior, rules, draws, lone):
         return d.sigma < POLICY['max_blur'] * np.maximum(-d.rays @ plane, 1e-9)
 
     planes = proposals(sample, prior.normal, 4 * rules.radius, draws)
-    distance = prior.distance(planes)
-    planes, distance = planes[distance < 9], distance[distance < 9]
+    off = distance(prior, planes)
+    planes, off = planes[off < 9], off[off < 9]
     if not len(planes):
         return None
     expected = -planes @ sample.rays.T
     error = np.square((sample.rho - expected) / sample.sigma)
     error[sample.sigma > POLICY['max_blur'] * expected] = np.inf
-    cost = np.minimum(error, rules.epsilon_h**2).sum(axis=1) / rules.epsilon_h**2 + distance
+    cost = np.minimum(error, rules.epsilon_h**2).sum(axis=1) / rules.epsilon_h**2 + off
     plane = planes[np.argmin(cost)]
     for _ in range(2):
         mean, information = prior.information(plane)
@@ -125,6 +133,6 @@ def find_ground(depths, free, prior, rules, draws, lone):
     log = np.sort(np.log(below.rho / -(below.rays @ plane)))
     alike = np.max(np.searchsorted(log, log + POLICY['alike']) - np.arange(len(log)), initial=0)
     speaks = alike if known else np.sum(np.abs(off) > rules.epsilon_h)
-    if speaks > member.sum() or prior.distance(plane[None])[0] > 9:
+    if speaks > member.sum() or distance(prior, plane[None])[0] > 9:
         return None
     return plane, covariance, member

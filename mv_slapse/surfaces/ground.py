@@ -112,13 +112,6 @@ class GroundPrior:
     spread: float = np.inf  # standard deviation of log(d); infinite: nothing is known
     n_missed: int = 0  # pairs in a row that have not shown it
 
-    def distance(self, planes: np.ndarray) -> np.ndarray:
-        """Squared Mahalanobis distance of planes (N, 3); what faces down is far off."""
-        length = np.linalg.norm(planes, axis=1)
-        angle = np.arccos(np.clip(planes @ self.normal / length, -1, 1))
-        return (np.square(angle / self.tilt)
-                + np.square(np.log(length / self.inverse_depth) / self.spread))
-
     def information(self, plane: np.ndarray):
         """Return the prior's mean (3,) and information (3, 3) about a plane (3,)."""
         length, n = np.linalg.norm(plane), self.normal
