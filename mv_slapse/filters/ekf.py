@@ -30,14 +30,6 @@ class State:
         self.lasting = np.zeros((0, n_lasting))
         self._blocks: dict[Hashable, slice] = {}
 
-    def __contains__(self, name: Hashable) -> bool:
-        """Return whether there is a block of that name."""
-        return name in self._blocks
-
-    def __getitem__(self, name: Hashable) -> np.ndarray:
-        """Return the mean of a block, a view."""
-        return self.mu[self._blocks[name]]
-
     def index(self, name: Hashable) -> slice:
         """Return where a block lies in mu and P."""
         return self._blocks[name]
@@ -47,10 +39,10 @@ class State:
         """Return the covariance with lasting errors in it."""
         return self.P + self.lasting @ self.lasting.T
 
-    def covariance(self, name: Hashable, other: Hashable | None = None) -> np.ndarray:
-        """Return the covariance of a block, or of a block (rows) with another (columns)."""
-        rows, columns = self._blocks[name], self._blocks[name if other is None else other]
-        return self.P[rows, columns] + self.lasting[rows] @ self.lasting[columns].T
+    def covariance(self, name: Hashable) -> np.ndarray:
+        """Return the covariance of a block."""
+        at = self._blocks[name]
+        return self.P[at, at] + self.lasting[at] @ self.lasting[at].T
 
     def add(self, name: Hashable, mu: np.ndarray, P: np.ndarray):
         """Append a block that is independent of the rest."""

@@ -72,7 +72,7 @@ def test_planes_come_and_go_without_touching_the_rest(state):
     before, size = state.P.copy(), state.size
     state.add_plane(77, AnchoredPlane(np.ones(3), np.zeros(3)), 2 * np.eye(3))
     assert state.size == size + 3
-    assert not state.error.covariance(77, 'current').any()
+    assert not state.error.P[state.at(77), state.at('current')].any()
     state.remove_plane(77)
     np.testing.assert_array_equal(state.P, before)
     assert set(state.planes) == set(IDS)
