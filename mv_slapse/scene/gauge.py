@@ -8,7 +8,7 @@ turns and shifts all of it, for good: pairs relate cameras to each other, not to
 
 from mv_slapse.geometry import rotation
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.scene.state import Gauge, SceneState
+from mv_slapse.scene.state import Gauge, SceneState, THETA
 import numpy as np
 
 UNKNOWN_SCALE = 1.0  # of the log of lengths of which one is guessed: a speed may be any
@@ -17,8 +17,7 @@ LINEAR = 0.2  # rad: beyond, a sine departs from its angle by 1 %
 
 def is_vague(state: SceneState) -> bool:
     """Tell whether the heading is too uncertain to be linear."""
-    cur = state.at('current').start
-    values, _ = compiled.eigen_symmetric(np.ascontiguousarray(state.P[cur:cur + 3, cur:cur + 3]))
+    values, _ = compiled.eigen_symmetric(np.ascontiguousarray(state.P[THETA, THETA]))
     return bool(values[-1] > LINEAR**2)
 
 

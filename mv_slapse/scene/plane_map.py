@@ -72,10 +72,10 @@ class SceneMap:
     def overdue(self, state: SceneState, stamp: int, lifetime: int) -> list[int]:
         """Return the planes that the filter should give up.
 
-        Those unseen for longer than ``lifetime`` [ns], but for walls that were well seen: these
-        may come back into view, and are given up where there are too many.
+        Those unseen for longer than ``lifetime`` [ns], rests left out, but for walls that were
+        well seen: these may come back into view, and are given up where there are too many.
         """
-        unseen = {id: self.unseen_for(id, stamp) for id in state.planes}
+        unseen = {id: stamp - self._waited - self._seen[id] for id in state.planes}
         lasting = {id for id in unseen if self.is_lasting(id)}
         late = [id for id, time in unseen.items() if time > lifetime and id not in lasting]
         away = sorted((id for id in lasting if unseen[id] > lifetime), key=unseen.get)
@@ -84,10 +84,6 @@ class SceneMap:
     def wait(self, time: int):
         """Let no plane age for a time [ns] in which nothing new came into view."""
         self._waited += time
-
-    def unseen_for(self, id: int, stamp: int) -> int:
-        """Return for how long a plane was out of view [ns], rests left out."""
-        return stamp - self._waited - self._seen[id]
 
     def adopt(self, id: int, stamp: int):
         """Begin the history of a plane that another filter hands over."""
@@ -141,16 +137,13 @@ class SceneMap:
 
     def scale(self, factor: float, place: np.ndarray):
         """Multiply all lengths by a factor, so that a place (3,) in {W} stays."""
-        def moved(outline):
-            """Return an outline (M, 3) scaled about the place."""
-            return place + factor * (outline - place)
-
-        self._sightings = {
-            id: replace(s, outline=moved(s.outline)) for id, s in self._sightings.items()}
+        self._sightings = {id: replace(s, outline=place + factor * (s.outline - place))
+                           for id, s in self._sightings.items()}
         D = np.array([1.0, 1.0, 1.0, factor])
         self._left = {id: replace(
             plane, depth=plane.depth * factor + (factor - 1) * float(plane.normal @ place),
-            covariance=D[:, None] * plane.covariance * D, outline=moved(plane.outline))
+            covariance=D[:, None] * plane.covariance * D,
+            outline=place + factor * (plane.outline - place))
             for id, plane in self._left.items()}
 
     def observe(self, state: SceneState, extraction: Extraction, ids: list[int]):

@@ -149,13 +149,10 @@ def start(mount: np.ndarray, velocity_sigma: float, omega_sigma: float,
     """Return the state at the first key frame, which is {W}; its pose is known exactly."""
     state = SceneState(Pose(np.eye(3), np.zeros(3)), Pose(np.eye(3), np.zeros(3)), np.zeros(3),
                        np.zeros(3), mount)
-    state.error.add('previous', np.zeros(6), np.zeros((6, 6)))
-    state.error.add('current', np.zeros(6), np.zeros((6, 6)))
-    state.error.add('velocity', np.zeros(3), np.eye(3) * velocity_sigma**2)
-    state.error.add('omega', np.zeros(3), np.eye(3) * omega_sigma**2)
-    state.error.add('mount', np.zeros(3), np.eye(3) * mount_sigma**2)
-    state.error.add('depth_scale', np.zeros(1), np.zeros((1, 1)))
-    state.error.add('heave', np.zeros(1), np.zeros((1, 1)))
+    for name, n, sigma in (('previous', 6, 0.0), ('current', 6, 0.0),
+                           ('velocity', 3, velocity_sigma), ('omega', 3, omega_sigma),
+                           ('mount', 3, mount_sigma), ('depth_scale', 1, 0.0), ('heave', 1, 0.0)):
+        state.error.add(name, np.zeros(n), np.eye(n) * sigma**2)
     return state
 
 
@@ -215,9 +212,8 @@ def doubt_speed(state: SceneState):
 
 def doubt_way(state: SceneState, place: np.ndarray):
     """Let the position be unsure by all of the way from a place (3,) in {W}."""
-    at = state.at('current').start + 3
-    state.error.P[at:at + 3, at:at + 3] += np.outer(state.current.t - place,
-                                                    state.current.t - place)
+    way = state.current.t - place
+    state.error.P[PLACE_NOW, PLACE_NOW] += np.outer(way, way)
 
 
 def halt(state: SceneState, omega: np.ndarray, covariance: np.ndarray):
@@ -225,11 +221,10 @@ def halt(state: SceneState, omega: np.ndarray, covariance: np.ndarray):
 
     Both are seen, whatever was predicted: a stop may be too sudden for a random walk.
     """
-    for name in ('velocity', 'omega'):
+    for name, seen in (('velocity', np.eye(3) * 1e-4), ('omega', covariance)):
         at = state.at(name)
         state.error.P[at], state.error.P[:, at], state.error.lasting[at] = 0, 0, 0
-    vel, om = state.at('velocity'), state.at('omega')
-    state.error.P[vel, vel], state.error.P[om, om] = np.eye(3) * 1e-4, covariance
+        state.error.P[at, at] = seen
     state.velocity, state.omega = np.zeros(3), omega
 
 

@@ -116,9 +116,12 @@ def test_history_counts_key_frames_in_which_a_plane_was_seen(canyon, observed):
     assert wall.n_macroblocks == 0
     assert (other.first_stamp, other.last_stamp, other.n_observations) == (stamp(3), stamp(4), 2)
     assert other.n_macroblocks == next(p for p in later.planes if p.id == 2).n_macroblocks
-    assert known.unseen_for(WALL, stamp(5)) == stamp(5) - stamp(3)
+    unseen = stamp(5) - stamp(3)
+    assert WALL in known.overdue(state, stamp(5), unseen - 1)
+    assert WALL not in known.overdue(state, stamp(5), unseen)
     known.wait(stamp(1))
-    assert known.unseen_for(WALL, stamp(5)) == stamp(4) - stamp(3)
+    assert WALL in known.overdue(state, stamp(5), unseen - stamp(1) - 1)
+    assert WALL not in known.overdue(state, stamp(5), unseen - stamp(1))
 
 
 def test_the_ground_is_the_one_seen_last(canyon, observed):
