@@ -59,15 +59,14 @@ def extraction_of(coarse: Extraction, factor: float, given: Correspondences,
     """
     centres = _smaller(grid_centres(given.width, given.height), factor)
     cell = grid_index(centres, coarse.width, coarse.height)
-    labelled = len(coarse.macroblock_label) > 0
     size = np.round(coarse.block * factor).astype(np.uint8)
     return replace(
         coarse, width=given.width, height=given.height, K=K, block=size,
         x_cur=_larger(coarse.x_cur, factor).astype(np.float32),
         x_prev=_larger(coarse.x_prev, factor).astype(np.float32),
         sigma=(coarse.sigma * factor).astype(np.float32),
-        macroblock_label=coarse.macroblock_label[cell] if labelled else coarse.macroblock_label,
-        macroblock_plane=coarse.macroblock_plane[cell] if labelled else coarse.macroblock_plane)
+        macroblock_label=coarse.macroblock_label[cell],
+        macroblock_plane=coarse.macroblock_plane[cell])
 
 
 def _smaller(x: np.ndarray, factor: float) -> np.ndarray:

@@ -104,14 +104,15 @@ class PlaneExtractor:
                                                        whole.stamp)
         seen = self._observed(pair, fit)
         floor, road = self._survey(whole, seen, lone, fit, ratio)
-        free = status.spread(free, rows, len(whole.x_cur))
+        left = np.ones(len(whole.x_cur), bool)  # what no mover held, lone blocks too
+        left[rows] = free
         rows = np.flatnonzero(~lone | road)
         blank, evidence = status.only(whole, rows), seen[rows]
         pair = evidence.pair
         told = Told(known[rows], length, ratio)
         found = self._named(Found(
             fit, evidence, self._planes(blank, Found(fit, evidence, []), told, floor,
-                                        (free[rows], road[rows])),
+                                        (left[rows], road[rows])),
             foreseen=self._map(whole).foreseen(pair, told.known, fit, length)))
         found = self._moving(blank, pair, found, floor, ratio)
         found = self._refined(pair, found, floor)

@@ -28,8 +28,6 @@ def likeliest(pair: two_view.Pair, predicted: MotionFit | None,
     A block behind the camera is one that the motion does not explain.
     """
     fits = [fit for fit in (predicted, *others) if fit is not None]
-    if len(fits) == 1:
-        return fits[0]
     costs = [_cost(fit) for fit in fits]
     if predicted is not None and (costs[0] - min(costs)) * len(pair) < AMBIGUITY:
         return fits[0]

@@ -49,13 +49,6 @@ def scattered(whole: Extraction, shown: Extraction, rows: np.ndarray) -> Extract
     return replace(shown, **columns)
 
 
-def spread(mask: np.ndarray, rows: np.ndarray, n: int) -> np.ndarray:
-    """Return a mask of some rows as one of n; what is not among them is in it."""
-    whole = np.ones(n, bool)
-    whole[rows] = mask
-    return whole
-
-
 def too_few(n: int) -> str:
     """Say why a pair of n correspondences cannot be used, or nothing."""
     least = estimate.MIN_CORRESPONDENCES
