@@ -15,12 +15,9 @@ import numpy as np
 class Evidence:
     """Vectors from key frame k to key frame k-1, each at its own place in k."""
 
-    # (M, 2) float32: where the evidence lies in key frame k [px]; no block centre for indirect
-    # evidence
-    x_cur: np.ndarray
+    x_cur: np.ndarray  # (M, 2) float32: place in key frame k [px]; no block centre if indirect
     vector: np.ndarray  # (M, 2) float32: from there to the match in key frame k-1 [px]
-    # (M,) float32: in units of one vector's variance: 1 for direct, 2 for indirect evidence
-    variance: np.ndarray
+    variance: np.ndarray  # (M,) float32: in that of one vector: 1 if direct, 2 if indirect
     block: np.ndarray  # (M, 2) uint8: block size [px]
 
     def __len__(self) -> int:

@@ -159,7 +159,7 @@ def _how_to_open(name: str, is_url: bool) -> dict:
     """Return the arguments of av.open: a patience for networks."""
     is_local = not is_url or _protocol(name) == LOCAL
     options = {'protocol_whitelist': LOCAL if is_local else PROTOCOLS}
-    if _protocol(name) == 'rtsp':  # UDP loses packets in silence, and that breaks a pair.
+    if is_url and _protocol(name) == 'rtsp':  # UDP loses packets in silence: a broken pair
         options['rtsp_transport'] = 'tcp'
     return {'options': options} | ({'timeout': PATIENCE} if is_url else {})
 

@@ -51,22 +51,12 @@ class BaselineRatio:
 
 
 class MapMotion(NamedTuple):
-    """A pair's motion against the map.
+    """A pair's motion against the map, X_cur = R X_prev + t."""
 
-    Attributes
-    ----------
-    R, t : (3, 3), (3,) arrays
-        X_cur = R X_prev + t [map unit].
-    covariance : (6, 6) array
-        Of (w, t / |t|), R -> exp(w) R.
-    sigma : float
-        Of log |t|.
-    """
-
-    R: np.ndarray
-    t: np.ndarray
-    covariance: np.ndarray
-    sigma: float
+    R: np.ndarray  # (3, 3)
+    t: np.ndarray  # (3,) [map unit]
+    covariance: np.ndarray  # (6, 6): of (w, t / |t|), R -> exp(w) R
+    sigma: float  # standard deviation of log |t|
 
     @property
     def length(self) -> float:
@@ -76,22 +66,13 @@ class MapMotion(NamedTuple):
 
 @dataclass(frozen=True)
 class BlockMap:
-    """Points (M, 5) in the newest camera: unit ray, inverse distance [1/map unit], its variance.
+    """Points that stand still, in the newest camera."""
 
-    Attributes
-    ----------
-    points : (M, 5) array
-    stamp : int or None
-        Of the key frame [ns]; None before the first.
-    length : float
-        Of the last baseline [map unit]; 0 before the first.
-    R, velocity : (3, 3), (3,) arrays
-        R_cur_from_prev and t_cur_from_prev over the time [map unit/s] of the last pair.
-    """
-
+    # (M, 5): unit ray, inverse distance [1/map unit], its variance
     points: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
-    stamp: int | None = None
-    length: float = 0.0
+    stamp: int | None = None  # of the key frame [ns]; None before the first
+    length: float = 0.0  # of the last baseline [map unit]; 0 before the first
+    # (3, 3), (3,): R_cur_from_prev of the last pair, t_cur_from_prev over its time [map unit/s]
     R: np.ndarray = field(default_factory=lambda: np.eye(3))
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
