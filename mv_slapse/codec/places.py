@@ -42,18 +42,13 @@ RULES = Rules()
 class Place:
     """Where a picture is shown."""
 
-    # counts are compared within one only; the next one that is shown has the next number
-    sequence: int = 0
-    # grows by the same step from picture to picture; None where nothing in the stream counts
-    count: int | None = None
-    # the same across sequences, where the stream's time codes are to be trusted
-    index: int | None = None
+    sequence: int = 0  # counts are compared within one; the next one shown has the next number
+    count: int | None = None  # grows by one step from picture to picture; None: nothing counts
+    index: int | None = None  # the same across sequences, if time codes are to be trusted
     time: int | None = None  # the picture's time by the stream's own clock, in ticks of it
     turn: int = 0  # where the count turns over to zero; 0 where it is not known
-    # why pictures before this one, in the order of decoding, are missing; else empty
-    reason: str = ''
-    # most pictures in a list of references, as the picture's own header tells it
-    references: int | None = None
+    reason: str = ''  # why pictures decoded before this one are missing; else empty
+    references: int | None = None  # most pictures in a list of them, by the picture's own header
 
 
 class Places:

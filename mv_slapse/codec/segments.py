@@ -18,8 +18,7 @@ class Segment:
     between: tuple[FrameVectors, ...]  # the B frames, in order of presentation
     kind: SegmentKind  # IP, PP, PI, or BROKEN where nothing joins the two
     reason: str = ''  # why it is BROKEN, else empty
-    # whether damage or a loss broke it: nothing, the pictures neither, can join it then
-    is_torn: bool = False
+    is_torn: bool = False  # by damage or a loss: nothing, the pictures neither, can join it then
 
 
 class SegmentBuilder:

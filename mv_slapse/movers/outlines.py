@@ -35,10 +35,8 @@ class Outlines(NamedTuple):
     low: np.ndarray  # (R, 2): corner of the box around the centres of its blocks [px],
     high: np.ndarray  # (R, 2): and the corner opposite [px]
     foot: np.ndarray  # (R, 2): middle of the lowest row's lower edge [px]
-    # (R,): rows of the foot below the horizon [px]; infinite where that is unknown
-    drop: np.ndarray
-    # (R,): inverse depth of the ground there [1/baseline]; 0 where that is unknown
-    under: np.ndarray
+    drop: np.ndarray  # (R,): rows of the foot below the horizon [px]; infinite if unknown
+    under: np.ndarray  # (R,): inverse depth of the ground there [1/baseline]; 0 if unknown
     filled: np.ndarray  # (R,): share of the box that blocks cover
     rho: np.ndarray  # (R,): mean apparent inverse depth of the blocks near the foot [1/baseline]
     # (R,): how much rather they show still land at another height than the road's than one depth,

@@ -60,8 +60,7 @@ class KnownGround(NamedTuple):
 
     plane: np.ndarray | None = None  # (3,): n / d in camera k [1/baseline], seen or predicted
     level: np.ndarray | None = None  # (3,): up in camera k, where the plane is not known
-    # the ground may be this many times nearer, a guess: it tells what looks farther only
-    nearer: float = 1.0
+    nearer: float = 1.0  # times nearer that it may be: a guess, which tells what looks farther
     camera_height: float = USUAL_HEIGHT  # above the ground [m]
     id: int = -1  # of its plane, -1: none
 

@@ -48,8 +48,7 @@ class Evidence(NamedTuple):
     dof: int  # and its dimension; 0, 0 at the start
     speed: float  # [map unit/s]
     overlap: float = 1.0  # intersection over union of the detection's box and the predicted one
-    # of its region, that it moves, chi-square summed over key frame pairs; 0: not known
-    score: float = 0.0
+    score: float = 0.0  # of its region, that it moves, chi-square over pairs; 0: not known
 
 
 def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSettings,

@@ -54,14 +54,12 @@ class Track:
     """A moving obstacle."""
 
     id: int  # lasts as long as the track
-    # of the plane observation that continued it last; NO_PLANE: it continues another one now
-    plane_id: int
+    plane_id: int  # of the plane seen that continued it last; NO_PLANE: that is another one's now
     mu: np.ndarray  # (8,): state of motion_model
     P: np.ndarray  # (8, 8): its covariance
     x: np.ndarray  # (N, 2): block centres, moved on by the prediction [px]
     block: np.ndarray  # (N, 2): their sizes [px]
-    # (4,): box of its body, averaged over its detections and moved on, too [px]
-    extent: np.ndarray
+    extent: np.ndarray  # (4,): box of its body, averaged over detections and moved on, too [px]
     edge: Edge  # lower edge of the last detection that showed one
     scale_prior: ScalePrior
     first_seen: int  # [ns]

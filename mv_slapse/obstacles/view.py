@@ -32,8 +32,7 @@ class View:
     ground_normal_covariance: np.ndarray  # (3, 3): of its unit normal in the camera
     size: np.ndarray  # (2,): width and height of the picture [px]
     is_metric: bool
-    # share of the scene's speed by which it differs from the lengths of obstacles at most
-    speed_error: float = 1.0
+    speed_error: float = 1.0  # share of the scene's speed that lengths of obstacles may differ by
 
     @cached_property
     def focal(self) -> np.ndarray:

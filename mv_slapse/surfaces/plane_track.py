@@ -19,8 +19,7 @@ class KnownPlanes:
     """K planes over several pairs, in the camera and the baseline of the last one."""
 
     plane: np.ndarray  # (K, 3): n / d [1/baseline]
-    # (K, 3, 3): with neighbouring vectors' common errors counted
-    covariance: np.ndarray
+    covariance: np.ndarray  # (K, 3, 3): with neighbouring vectors' common errors counted
     id: np.ndarray  # (K,) int: -1 until it is confirmed
     seen: np.ndarray  # (K,) int: pairs that have shown it
     missed: np.ndarray  # (K,) int: pairs since then
