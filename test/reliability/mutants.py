@@ -14,8 +14,8 @@ import tempfile
 from reliability.planted import PLANTED
 
 ROOT = Path(__file__).resolve().parents[2]
-COPIED = ('mv_slapse', 'test', 'config', 'msg_defs', 'docs', 'setup.cfg', 'package.xml',
-          'README.md')
+COPIED = ('mv_slapse', 'test', 'benchmarks', 'config', 'msg_defs', 'docs', 'setup.cfg',
+          'package.xml', 'README.md')
 PATIENCE = 900  # s; a mistake that makes the tests hang is caught as well
 
 
@@ -42,6 +42,8 @@ def is_caught(folder: Path, number: int) -> bool:
     try:
         done = subprocess.run(command, cwd=folder, env=environment, capture_output=True,
                               timeout=PATIENCE)
+        if done.returncode > 1:
+            raise RuntimeError(f'{tests} cannot be run: {done.stdout.decode()[-1000:]}')
         return done.returncode == 1
     except subprocess.TimeoutExpired:
         return True
