@@ -184,6 +184,25 @@ def test_the_bag_holds_what_the_nodes_publish(out, steps):
     np.testing.assert_array_equal(pair.x_prev, steps[2].correspondences.x_prev)
 
 
+def test_walls_that_are_only_kept_cost_a_message_once(tmp_path, rng, monkeypatch):
+    """A map keeps 200 that the filter has given up; each picture's message names all of them."""
+    walls = tuple(replace(made_up.map_plane(rng), id=id_) for id_ in range(7))
+    made = []
+    make = fields.map_plane_to_fields
+    monkeypatch.setattr(fields, 'map_plane_to_fields', lambda *args: (
+        made.append(args[0].id) or make(*args)))
+    with ResultsWriter(tmp_path) as writer:
+        for k in range(21):  # 2.1 s
+            step = made_up_step(rng, k)
+            step.scene = replace(step.scene, planes=walls)
+            writer.write(step)
+    assert made == list(range(7))
+    reader = BagReader(tmp_path / 'results.mcap')
+    assert {len(msg.planes) for _, msg in reader.messages(['/planes/map'])} == {7}
+    assert [len(list(reader.messages([topic]))) for topic in (
+        '/planes/map', '/planes/map_markers', '/path')] == [21, 3, 3]
+
+
 def test_the_bag_begins_with_the_calibration(tmp_path, rng):
     camera = Camera(640, 480, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]))
     with ResultsWriter(tmp_path, camera=camera) as writer:
