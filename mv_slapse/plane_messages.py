@@ -1,12 +1,13 @@
 """Messages of the planes of a map, each made once for as long as its plane stays the same."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from mv_slapse import fields
 from mv_slapse.fields import Fields
 from mv_slapse.geometry.ros_frames import RosFrames
-from mv_slapse.records import MapPlane
+from mv_slapse.records import MapPlane, SceneEstimate
 import numpy as np
 
 
@@ -33,3 +34,9 @@ class PlaneMessages:
             for plane, old in zip(planes, made, strict=True)]
         self._made = {plane.id: (plane, msg) for plane, msg in made}
         return [msg for _, msg in made]
+
+    def map_fields(self, scene: SceneEstimate, frames: RosFrames, resets: int,
+                   began: int) -> Fields:
+        """Return mv_slapse_msgs/PlaneMap, see ``fields.plane_map_to_fields``; planes are messages."""
+        without = fields.plane_map_to_fields(replace(scene, planes=()), frames, resets, began)
+        return without | {'planes': self.of(scene.planes, frames)}

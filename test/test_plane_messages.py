@@ -29,7 +29,7 @@ def test_planes_that_have_not_changed_are_made_messages_once():
 def test_a_message_with_messages_in_it_is_the_same_bytes():
     rng, name = np.random.default_rng(0), 'mv_slapse_msgs/msg/PlaneMap'
     scene = replace(made_up.scene(rng), planes=(made_up.map_plane(rng), made_up.map_plane(rng)))
-    values = fields.plane_map_to_fields(scene, RosFrames())
-    mixed = values | {'planes': PlaneMessages(to_message).of(scene.planes, RosFrames())}
+    values = fields.plane_map_to_fields(scene, RosFrames(), 3, 10**9)
+    mixed = PlaneMessages(to_message).map_fields(scene, RosFrames(), 3, 10**9)
     assert messages.serialize(name, mixed) == messages.serialize(name, values)
     assert messages.to_message(name, messages.to_message(name, mixed)).planes == mixed['planes']

@@ -1,7 +1,6 @@
 """What slam publishes: pose, twist, path, transform and map."""
 
 from collections import deque
-from dataclasses import replace
 from functools import partial
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistWithCovarianceStamped
@@ -78,10 +77,8 @@ class SceneOutput:
         beginning = self._beginning(scene.stamp)
         if is_heard(self._map) or scene.stamp >= self._map_due:
             self._map_due = scene.stamp + LATCHED_PERIOD
-            msg = to_message(PlaneMap, fields.plane_map_to_fields(
-                replace(scene, planes=()), frames, *beginning))
-            msg.planes = self._planes.of(scene.planes, frames)
-            self._map.publish(msg)
+            self._map.publish(to_message(PlaneMap, self._planes.map_fields(
+                scene, frames, *beginning)))
         self._unshown = scene, frames
         self._publish_markers()
         self._report(scene)

@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -99,9 +98,8 @@ class MessageLog:
             fields.correspondences_to_fields(step.correspondences, frames), stamp)
         put('/planes/observations', 'mv_slapse_msgs/msg/PlaneObservations',
             fields.extraction_to_fields(step.extraction, frames), stamp)
-        plane_map = fields.plane_map_to_fields(replace(scene, planes=()), frames, *self._began)
-        put('/planes/map', 'mv_slapse_msgs/msg/PlaneMap', plane_map | {
-            'planes': self._planes.of(scene.planes, frames)}, stamp, True)
+        put('/planes/map', 'mv_slapse_msgs/msg/PlaneMap',
+            self._planes.map_fields(scene, frames, *self._began), stamp, True)
         put('/obstacles', 'mv_slapse_msgs/msg/ObstacleArray',
             fields.obstacles_to_fields(stamp, step.obstacles, scene.scale_status, frames), stamp)
         sure = planner_fields.sure(step.obstacles)
