@@ -137,13 +137,16 @@ class SceneMap:
 
     def scale(self, factor: float, place: np.ndarray):
         """Multiply all lengths by a factor, so that a place (3,) in {W} stays."""
-        self._sightings = {id: replace(s, outline=place + factor * (s.outline - place))
+        def moved(outline):
+            """Return an outline (M, 3) scaled about the place."""
+            return place + factor * (outline - place)
+
+        self._sightings = {id: replace(s, outline=moved(s.outline))
                            for id, s in self._sightings.items()}
         D = np.array([1.0, 1.0, 1.0, factor])
         self._left = {id: replace(
             plane, depth=plane.depth * factor + (factor - 1) * float(plane.normal @ place),
-            covariance=D[:, None] * plane.covariance * D,
-            outline=place + factor * (plane.outline - place))
+            covariance=D[:, None] * plane.covariance * D, outline=moved(plane.outline))
             for id, plane in self._left.items()}
 
     def observe(self, state: SceneState, extraction: Extraction, ids: list[int]):
