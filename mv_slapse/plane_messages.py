@@ -37,6 +37,6 @@ class PlaneMessages:
 
     def map_fields(self, scene: SceneEstimate, frames: RosFrames, resets: int,
                    began: int) -> Fields:
-        """Return mv_slapse_msgs/PlaneMap, see ``fields.plane_map_to_fields``; planes are messages."""
+        """Return mv_slapse_msgs/PlaneMap as fields, those of its planes as messages."""
         without = fields.plane_map_to_fields(replace(scene, planes=()), frames, resets, began)
         return without | {'planes': self.of(scene.planes, frames)}
