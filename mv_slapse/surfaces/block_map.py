@@ -29,7 +29,10 @@ POLICY = {
     # the weight [px]; roughness of a surface, as a share; most that the slope may change a depth.
     'same_surface': 0.25, 'spread': 12.0, 'roughness': 0.1, 'slack': 0.3,
     'relief': 0.02,  # of a surface between points, as a share of depth
-    'weak': 1.0,  # standard deviation of the inverse depth of a block that the map does not know
+    # Standard deviation of an inverse depth that the map does not know, over the usual one: none.
+    # What comes into view at the sides is nearer than usual; held to be usual within 100 %, its
+    # hundreds of blocks make each way longer, by .04 to .2 % a pair where a lens is distorted.
+    'weak': 100.0,
     # A pair's depths are joined with the map's: share by which interpolation errs, and share of
     # the variance of a depth that it has in common with those before: vectors in a row err alike.
     'drift': 0.02, 'alike': 0.7,
@@ -40,6 +43,9 @@ POLICY = {
     'doubt': 4.0,  # growth of the variance of what is contradicted, until it is replaced
     'first_relief': 0.03,  # share by which a first depth errs beside its vector
     'most': 4000}  # points in all
+# A pair that turns has next to no parallax: by noise alone its way shrinks and the map with it,
+# unless what is not known is held to be as far as usual.
+TURNING = POLICY | {'weak': 1.0}
 
 
 @dataclass(frozen=True)
@@ -130,21 +136,14 @@ class BlockMap:
         n_sure, length = compiled.told_length(columns(pair), known, R, t, SURE_START)
         if n_sure < LEAST_KNOWN:
             return None
-        return self._fitted(pair, known, [(R, length * t), (R, math.hypot(*way) * t),
-                                          (R, way), (self.R, way)])
+        return _fitted(pair, known, [(R, length * t), (R, math.hypot(*way) * t),
+                                     (R, way), (self.R, way)], POLICY)
 
     def turning(self, pair: two_view.Pair, known: np.ndarray, R: np.ndarray) -> MapMotion | None:
         """Return the little motion of a camera that seems to turn on the spot by R (3, 3)."""
         if np.count_nonzero(np.isfinite(known[:, 1])) < LEAST_KNOWN:
             return None
-        return self._fitted(pair, known, [(R, np.zeros(3))])
-
-    def _fitted(self, pair, known, starts) -> MapMotion:
-        """Return the motion from the best of some starts (R, t)."""
-        rows = np.array([(*R.flat, *t) for R, t in starts])
-        R, t, _, covariance, told, _ = compiled.fit_to_map(columns(pair), known, rows, WIDTHS,
-                                                           POLICY)
-        return MapMotion(R, t, covariance, 1 / math.sqrt(max(told, 1e-12)))
+        return _fitted(pair, known, [(R, np.zeros(3))], TURNING)
 
     def joined(self, pair: two_view.Pair, known: np.ndarray, fit: MotionFit, length: float,
                depths: Depths) -> Depths:
@@ -184,6 +183,13 @@ class BlockMap:
         """Return the length of a baseline at an unchanged speed [map unit], 1 if none is known."""
         way = 1e-9 * (stamp - self.stamp) * norm(self.velocity)
         return way or self.length or 1.0
+
+
+def _fitted(pair, known, starts, policy) -> MapMotion:
+    """Return the motion from the best of some starts (R, t)."""
+    rows = np.array([(*R.flat, *t) for R, t in starts])
+    R, t, _, covariance, told, _ = compiled.fit_to_map(columns(pair), known, rows, WIDTHS, policy)
+    return MapMotion(R, t, covariance, 1 / math.sqrt(max(told, 1e-12)))
 
 
 def columns(pair: two_view.Pair) -> tuple:

@@ -69,6 +69,26 @@ def test_a_pair_has_the_length_of_its_way(drive):
         assert np.linalg.norm(rotation.log(found.R @ R.T)) < 0.002
 
 
+@pytest.mark.parametrize('direction', ['ahead', 'sideways'])
+def test_what_comes_into_view_nearer_than_usual_makes_no_way_longer(rng, direction):
+    """Of noisy pairs the map does not know the nearer half: they are as long as with all of it."""
+    drive = Drive(rng, sigma=0.5)
+    R, t = motion(direction)
+    fit = MotionFit(R, t, np.eye(6), 0.0)
+    drive.step(R, t)
+    drive.step(R, t)
+    longer = []
+    for _ in range(4):
+        pair = drive.pair(R, t)
+        known = drive.map.known(pair, SIZE)
+        far = known[:, 0] < np.median(known[np.isfinite(known[:, 1]), 0])
+        hidden = np.where(far[:, None], known, (0.0, np.inf, 0.0))
+        found = drive.map.moving(pair, known, fit, 0.1)
+        longer.append(drive.map.moving(pair, hidden, fit, 0.1).length / found.length - 1)
+        drive.map = drive.map.moved(drive.stamp, (found.R, found.t), pair, known, SIZE)
+    assert abs(np.mean(longer)) < 0.004
+
+
 def test_the_length_is_kept_through_a_rest(drive):
     R, t = motion('ahead')
     drive.stamp += 20 * STEP
