@@ -1,6 +1,5 @@
 """What is gathered over a run and written at its end: labels, map, summary."""
 
-from array import array
 import json
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -30,33 +29,34 @@ class LabelArchive:
         ``folder`` is where the labels wait, in files without a name; else where the system keeps
         such files.
         """
-        self._size = (0, 0)
-        self._stamps = array('q')
-        self._labels = TemporaryFile(dir=folder)  # noqa: SIM115 (as long as the archive)
+        self._size, self._n = (0, 0), 0
+        self._stamps = TemporaryFile(dir=folder)  # noqa: SIM115 (as long as the archive)
+        self._labels = TemporaryFile(dir=folder)  # noqa: SIM115
         self._planes = TemporaryFile(dir=folder)  # noqa: SIM115
 
     def close(self):
         """Give up what waits."""
-        self._labels.close()
-        self._planes.close()
+        for file in (self._stamps, self._labels, self._planes):
+            file.close()
 
     def add(self, extraction: Extraction):
         """Take the labels of a key frame; one of another picture size is left out."""
         size = extraction.width, extraction.height
-        if not self._stamps:
+        if not self._n:
             self._size = size
         if size == self._size:
             self._labels.write(np.asarray(extraction.macroblock_label, np.int8).tobytes())
             self._planes.write(np.asarray(extraction.macroblock_plane, np.int32).tobytes())
-            self._stamps.append(extraction.stamp)
+            self._stamps.write(np.int64(extraction.stamp).tobytes())
+            self._n += 1
 
     def save(self, path: Path):
         """Write ``stamp`` [s], ``x``, ``y`` [px], ``label`` and ``plane``."""
         centres = grid_centres(*self._size)
-        shape = len(self._stamps), len(centres)
+        shape = self._n, len(centres)
         with whole(path, 'wb') as file:
             np.savez_compressed(
-                file, stamp=np.array(self._stamps, np.int64) / 1e9, x=centres[:, 0],
+                file, stamp=_rows(self._stamps, np.int64, (self._n,)) / 1e9, x=centres[:, 0],
                 y=centres[:, 1], label=_rows(self._labels, np.int8, shape),
                 plane=_rows(self._planes, np.int32, shape))
 

@@ -6,6 +6,7 @@ import shutil
 from mv_slapse.errors import UsageError
 from mv_slapse.fields import Fields
 from mv_slapse.storage import messages
+from mv_slapse.storage.waiting_index import WaitingIndex
 from mv_slapse.storage.whole_files import unusable
 from rosbags.interfaces import (
     Qos,
@@ -41,6 +42,8 @@ class BagWriter:
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         try:
             self._writer.open()
+            self._index = WaitingIndex(self.path)
+            self._writer.storage.chunks = self._index
         except OSError as error:
             raise UsageError(f'{path} cannot be written: {error.strerror}; choose another place'
                              ) from None
@@ -83,6 +86,8 @@ class BagWriter:
             self._writer.close()
         except OSError as error:
             raise unusable(self.path, error, WHAT_IS_LEFT) from error
+        finally:
+            self._index.close()
 
 
 class McapFile(BagWriter):

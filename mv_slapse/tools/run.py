@@ -1,7 +1,7 @@
 """``mv_slapse run``: a video in, the folder of results out."""
 
 from array import array
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -31,6 +31,7 @@ from mv_slapse.tools.history import History
 from mv_slapse.tools.inputs import open_input, VideoInput
 from mv_slapse.tools.placing import Placing
 from mv_slapse.tools.run_summary import Summary
+from mv_slapse.tools.tallies import Numbers, Texts
 import numpy as np
 
 STAGES = ('decode', 'extract', 'filter', 'obstacles', 'write')
@@ -161,9 +162,8 @@ class _Session:
         self._decoder = CorrespondenceDecoder(settings.decoder, camera)
         self._slapse = Slapse(camera, settings)
         self._charge_stages()
-        self._counts = {name: Counter() for name in ('statuses', 'reasons', 'broken_reasons')}
-        self._planes: set[int] = set()
-        self._obstacles: set[int] = set()
+        self._counts = {name: Texts() for name in ('statuses', 'reasons', 'broken_reasons')}
+        self._planes, self._obstacles = Numbers(), Numbers()
         self._stamps = array('q')
         self._placing = Placing(options.known_map)
         self.summary = Summary(name, command=options.command)
@@ -270,18 +270,20 @@ class _Session:
         summary.last_stamp = pair.stamp / 1e9
         if scene.status in WITH_POSE:
             summary.poses += 1 if summary.poses else 2  # the first key frame is the origin
-        self._counts['statuses'][scene.status.name.lower()] += 1
+        self._counts['statuses'].take(scene.status.name.lower())
         if scene.reason:
-            self._counts['reasons'][scene.reason] += 1
+            self._counts['reasons'].take(scene.reason)
         if pair.kind is SegmentKind.BROKEN:
             summary.broken_segments += 1
-            self._counts['broken_reasons'][pair.reason] += 1
+            self._counts['broken_reasons'].take(pair.reason)
         is_metric = scene.scale_status is ScaleStatus.METRIC
         summary.scale_status = 'metric' if is_metric else 'unknown'
         summary.scale_source = scene.scale_source
-        self._planes.update(plane.id for plane in scene.planes)
-        self._obstacles.update(obstacle.id for obstacle in step.obstacles
-                               if obstacle.state is ObstacleState.CONFIRMED)
+        for plane in scene.planes:
+            self._planes.add(plane.id)
+        for obstacle in step.obstacles:
+            if obstacle.state is ObstacleState.CONFIRMED:
+                self._obstacles.add(obstacle.id)
 
 
 def _camera(camera: Camera | None, source: VideoInput, name: str) -> Camera:
