@@ -268,16 +268,23 @@ Fit terms(const Foretold& pair, const TwoView& view, double width) {
     const Projected expected = projected(view, a, x, y, rho);
     // Linearised about a depth that does not err with the block's own: its weight, and what the
     // way does to it, would depend on that error else, and lengths drift by 0.1 % a pair. A depth
-    // that is not known is the one that the block itself tells.
-    const Four gain = variance / (noise + variance * (expected.gx * expected.gx +
-                                                      expected.gy * expected.gy));
-    Four own = at_least(rho + gain * (expected.gx * expected.ex + expected.gy * expected.ey), 0);
+    // that is not known is the one that the block itself tells; where that lies beyond infinity,
+    // nothing can, and the whole error there counts.
+    const Four dx = view.fx * (view.t[0] - x * view.t[2]), dy = view.fy * (view.t[1] - y * view.t[2]);
+    const Four itself = (view.fx * (x * a.z - a.x) * dx + view.fy * (y * a.z - a.y) * dy) /
+                        at_least(dx * dx + dy * dy, 1e-18);
+    const Four slope = variance * (expected.gx * expected.gx + expected.gy * expected.gy);
+    const Four best = rho + slope / (noise + slope) * (itself - rho);
+    Four own = at_least(best, 0);
     own = own > 8.0 * rho ? 8.0 * rho : own;
     const Four at = told ? load(&pair.at[i]) : own;
+    const auto possible = told | (best >= 0.0);
     const Projected p = projected(view, a, x, y, at);
-    const Four ex = told ? expected.ex : p.ex + p.gx * (at - rho);
-    const Four ey = told ? expected.ey : p.ey + p.gy * (at - rho);
-    const Four square = p.gx * p.gx + p.gy * p.gy, c = variance / (noise + variance * square);
+    const Four off = possible ? at - rho : Four{};
+    const Four ex = told ? expected.ex : p.ex + p.gx * off;
+    const Four ey = told ? expected.ey : p.ey + p.gy * off;
+    const Four square = p.gx * p.gx + p.gy * p.gy;
+    const Four c = possible ? variance / (noise + variance * square) : Four{};
     const Four along = p.gx * ex + p.gy * ey;
     const Four error = at_least((ex * ex + ey * ey - c * along * along) / noise, 0);
     const Four kernel = one / (one + error * softness);

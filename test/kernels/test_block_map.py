@@ -171,21 +171,27 @@ def test_the_motion_that_depths_tell_is_the_true_one(name):
     assert cost < 1e-6
 
 
-@pytest.mark.parametrize('name', MOTIONS)
-def test_its_information_is_that_of_the_numerical_derivative(name):
-    scene, known = exact(name)
-    pair, focal = scene.pair, scene.focal
-    pair.sigma[:] = 0.3
+def slopes(pair, R_0, t_0, rho):
+    """Return the numerical derivatives of pixels by (w, t) (N, 2, 6) and by inverse depth (N, 2).
 
+    ``rho`` (N,) are inverse depths in camera k-1.
+    """
     def place(R, t, rho):
         """Return pixels (2 N,) in camera k."""
         X = pair.rays_prev @ R.T + rho[:, None] * t
-        return (X[:, :2] / X[:, 2:] * focal).ravel()
+        return (X[:, :2] / X[:, 2:] * pair.focal).ravel()
 
-    J = jacobian(lambda e: place(rotation.exp(e[:3]) @ scene.R, scene.t + e[3:], known[:, 0]),
-                 np.zeros(6)).reshape(-1, 2, 6)
-    g = jacobian(lambda e: place(scene.R, scene.t, known[:, 0] + e[0]),
-                 np.zeros(1)).reshape(-1, 2)
+    J = jacobian(lambda e: place(rotation.exp(e[:3]) @ R_0, t_0 + e[3:], rho), np.zeros(6))
+    g = jacobian(lambda e: place(R_0, t_0, rho + e[0]), np.zeros(1))
+    return J.reshape(-1, 2, 6), g.reshape(-1, 2)
+
+
+@pytest.mark.parametrize('name', MOTIONS)
+def test_its_information_is_that_of_the_numerical_derivative(name):
+    scene, known = exact(name)
+    pair = scene.pair
+    pair.sigma[:] = 0.3
+    J, g = slopes(pair, scene.R, scene.t, known[:, 0])
     C = 0.3**2 * np.eye(2) + known[:, 1, None, None] * g[:, :, None] * g[:, None]
     expected = np.einsum('nik,nij,njl->kl', J, np.linalg.inv(C), J)
     start = np.r_[scene.R.ravel(), scene.t][None]
@@ -199,6 +205,27 @@ def test_its_information_is_that_of_the_numerical_derivative(name):
     along = np.sum(g * g, axis=1)
     assert length == pytest.approx(np.sum(known[:, 0]**2 * along / (
         0.3**2 + known[:, 1] * along)), rel=1e-4)
+
+
+@pytest.mark.parametrize('side', [-1, 1])
+@pytest.mark.parametrize('name', MOTIONS)
+def test_beyond_infinity_the_whole_error_of_an_unknown_depth_counts(name, side, rng):
+    """Half of the blocks are not known, and by a hair on one side of infinity."""
+    scene, known = exact(name)
+    pair, hidden = scene.pair, rng.random(len(known)) < 0.5
+    pair.sigma[:] = np.where(hidden, 3.0, 0.3)  # the others hold the motion where it is
+    X_prev = (pair.rays_cur - side * 1e-5 * scene.t)[hidden] @ scene.R
+    pair.rays_prev[hidden] = X_prev / X_prev[:, 2:]
+    known[hidden] = 0, np.inf, 0
+    J, g = slopes(pair, scene.R, scene.t, known[:, 0])
+    open_ = POLICY['weak'] * np.median(known[~hidden, 0]) if side > 0 else 0
+    variance = np.where(hidden, open_**2, known[:, 1])
+    C = (pair.sigma**2)[:, None, None] * np.eye(2) + (
+        variance[:, None, None] * g[:, :, None] * g[:, None])
+    expected = np.einsum('nik,nij,njl->kl', J, np.linalg.inv(C), J)
+    start = np.r_[scene.R.ravel(), scene.t][None]
+    A = compiled.fit_to_map(columns(pair), known, start, WIDTHS[-2:], EXACT)[2]
+    np.testing.assert_allclose(A, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize('name', MOTIONS)
