@@ -69,7 +69,7 @@ robot-demo: setup out/demo/video.mpg ## play the demo into the four nodes over D
 	@$(RUN) cd test && PYTHONPATH=.:..:$$PYTHONPATH python system/robot_demo.py ../out/demo ../out/robot_demo
 
 test: setup ## run all tests, real ROS nodes included
-	@$(RUN) python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
+	@$(RUN) python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: setup ## check style, known dangers (bandit), and that libraries have the versions that were tested
 	@$(RUN) ruff check .

@@ -15,8 +15,23 @@ DATA = Path(os.environ.get('MV_SLAPSE_TEST_DATA', ROOT.parent / 'shared' / 'data
 # Before rclpy is loaded, and for the processes that tests start.
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
+# The processes that tests start by the hundred would compile numpy and rclpy each time.
+os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
 if Path(sys.prefix, 'share', 'ament_index').is_dir():
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
+# What takes longest comes first, so that no worker is left alone with it at the end.
+LONGEST = ('test_sanitizers.py', 'test_reproducibility.py', 'system', 'reliability', 'benchmarks',
+           'batch', 'simulation', 'storage', 'nodes', 'tools', 'kernels', 'movers')
+
+
+def pytest_collection_modifyitems(items):
+    """Sort tests by the rooms that take longest."""
+    def place(item):
+        """Return the place of a test's room."""
+        room = item.path.relative_to(ROOT / 'test').parts[0]
+        return LONGEST.index(room) if room in LONGEST else len(LONGEST)
+
+    items.sort(key=place)
 
 
 @pytest.fixture(params=range(5), ids='seed{}'.format)

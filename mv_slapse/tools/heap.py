@@ -1,0 +1,20 @@
+"""The heap of a process that may run for days."""
+
+from contextlib import suppress
+import ctypes
+
+# Of glibc's <malloc.h>: sizes of free memory at the heap's end, and of a block, that go back.
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+THRESHOLD = 1 << 18  # bytes
+
+
+def give_back_large_blocks():
+    """Have large blocks given back to the system, whatever was freed before.
+
+    glibc raises its threshold for blocks of their own to the largest that was freed. Blocks of a
+    megabyte then lie in the heap among small ones that stay, and it grows by MB an hour. Other C
+    libraries have no such threshold, and nothing is done.
+    """
+    with suppress(AttributeError, OSError):
+        for setting in (M_MMAP_THRESHOLD, M_TRIM_THRESHOLD):
+            ctypes.CDLL(None).mallopt(setting, THRESHOLD)

@@ -1,0 +1,44 @@
+"""The heap of a long run."""
+
+import subprocess
+import sys
+
+import pytest
+
+# Blocks of a megabyte that are freed, then others with something small behind each that stays.
+PROGRAM = """
+import ctypes, sys
+from mv_slapse.tools.heap import give_back_large_blocks
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+libc.free.argtypes = [ctypes.c_void_p]
+if sys.argv[1] == 'set':
+    give_back_large_blocks()
+def held():
+    return int(open('/proc/self/statm').read().split()[1]) * 4096 / 1e6
+def touched(size):
+    block = libc.malloc(ctypes.c_size_t(size))
+    ctypes.memset(block, 1, size)
+    return block
+libc.free(touched(20_000_000))
+before = held()
+for _ in range(10):
+    blocks = []
+    for _ in range(5):
+        blocks.append(touched(1_000_000))
+        touched(1000)
+    for block in blocks:
+        libc.free(block)
+print(held() - before)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith('linux'), reason='reads /proc')
+def test_large_blocks_go_back_to_the_system():
+    def grown(how):
+        """Return by how much such a program grows [MB]."""
+        return float(subprocess.run([sys.executable, '-c', PROGRAM, how], check=True,
+                                    capture_output=True, text=True).stdout)
+
+    assert grown('set') < 0.5
+    assert grown('not') > 1  # else the test does not test
