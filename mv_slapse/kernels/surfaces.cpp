@@ -77,34 +77,82 @@ Gaussian fused(const Gaussian& a, const Gaussian& b) {
   return out;
 }
 
-// Sums of the equations over blocks from first to last within reach of a centre.
-FOR_EACH_PROCESSOR
-Equations equations_near(const Whitened& blocks, const double* x, const double* y, int first,
-                         int last, const double* centre, double reach, const Vec3& plane,
-                         double softness) {
+struct Run {  // blocks in a row: from first on, before last
+  int first, last;
+};
+
+// Sums of a plane's equations over four blocks at a time.
+struct Sums {
   Four A[6] = {}, b[3] = {};
-  const Four one = broadcast(1), none = broadcast(0), far = broadcast(reach);
-  Four number = {0, 1, 2, 3};
-  for (int i = first; i < last; i += STEP) {
-    const Four r0 = load(&blocks.ray[0][i]), r1 = load(&blocks.ray[1][i]),
-                r2 = load(&blocks.ray[2][i]), rho = load(&blocks.rho[i]);
-    const Four dx = load(x + i) - centre[0], dy = load(y + i) - centre[1];
-    const Four error = r0 * plane[0] + r1 * plane[1] + r2 * plane[2] + rho;
-    const Four d = one + error * error * softness;
-    Four w = one / (d * d);
-    const auto inside = (dx < far) & (dx > -far) & (dy < far) & (dy > -far) &
-                        (number < broadcast(last - i));
-    w = inside ? w : none;
-    const Four w0 = w * r0, w1 = w * r1, w2 = w * r2;
-    A[0] += w0 * r0, A[1] += w0 * r1, A[2] += w0 * r2;
-    A[3] += w1 * r1, A[4] += w1 * r2, A[5] += w2 * r2;
-    b[0] -= w0 * rho, b[1] -= w1 * rho, b[2] -= w2 * rho;
+
+  KERNELS_INLINE void add(const Four3& ray, const Four& rho, const Four& weight) {
+    const Four x = weight * ray.x, y = weight * ray.y, z = weight * ray.z;
+    A[0] += x * ray.x, A[1] += x * ray.y, A[2] += x * ray.z;
+    A[3] += y * ray.y, A[4] += y * ray.z, A[5] += z * ray.z;
+    b[0] -= x * rho, b[1] -= y * rho, b[2] -= z * rho;
   }
-  Equations e;
-  e.A = {sum(A[0]), sum(A[1]), sum(A[2]), 0, sum(A[3]), sum(A[4]), 0, 0, sum(A[5])};
-  e.b = {sum(b[0]), sum(b[1]), sum(b[2])};
-  e.mirror();
-  return e;
+  KERNELS_INLINE Equations total() const {
+    Equations e;
+    e.A = {sum(A[0]), sum(A[1]), sum(A[2]), 0, sum(A[3]), sum(A[4]), 0, 0, sum(A[5])};
+    e.b = {sum(b[0]), sum(b[1]), sum(b[2])};
+    e.mirror();
+    return e;
+  }
+};
+
+KERNELS_INLINE Four3 rays_at(const Whitened& blocks, int i) {
+  return {load(&blocks.ray[0][i]), load(&blocks.ray[1][i]), load(&blocks.ray[2][i])};
+}
+// 1 for each block from i on that lies before last, 0 for others.
+KERNELS_INLINE Four before(int i, int last) {
+  return Four{0, 1, 2, 3} < broadcast(last - i) ? broadcast(1) : broadcast(0);
+}
+
+// Equations of blocks from first to last within reach of a centre, each weighted by its error.
+FOR_EACH_PROCESSOR
+Equations equations_near(const Whitened& blocks, const double* x, const double* y, Run run,
+                         const double* centre, double reach, const Vec3& plane, double softness) {
+  Sums sums;
+  const Four none = broadcast(0), far = broadcast(reach);
+  for (int i = run.first; i < run.last; i += STEP) {
+    const Four3 ray = rays_at(blocks, i);
+    const Four rho = load(&blocks.rho[i]), error = dot(ray, plane) + rho;
+    const Four dx = load(x + i) - centre[0], dy = load(y + i) - centre[1];
+    const Four d = broadcast(1) + error * error * softness, w = before(i, run.last) / (d * d);
+    sums.add(ray, rho, (dx < far) & (dx > -far) & (dy < far) & (dy > -far) ? w : none);
+  }
+  return sums.total();
+}
+
+// Equations of a window's blocks, each weighted by its error on a plane; all alike where softness
+// is 0.
+FOR_EACH_PROCESSOR
+Equations equations_in(const Whitened& blocks, const Run* runs, int n, const Vec3& plane,
+                       double softness) {
+  Sums sums;
+  for (int k = 0; k < n; ++k)
+    for (int i = runs[k].first; i < runs[k].last; i += STEP) {
+      const Four3 ray = rays_at(blocks, i);
+      const Four rho = load(&blocks.rho[i]), error = dot(ray, plane) + rho;
+      const Four d = broadcast(1) + error * error * softness;
+      sums.add(ray, rho, before(i, runs[k].last) / (d * d));
+    }
+  return sums.total();
+}
+
+// Sum of the squared errors of a window's blocks on a plane, each at most ``cap``.
+FOR_EACH_PROCESSOR
+double capped_errors(const Whitened& blocks, const Run* runs, int n, const Vec3& plane,
+                     double cap) {
+  Four total = broadcast(0);
+  const Four most = broadcast(cap);
+  for (int k = 0; k < n; ++k)
+    for (int i = runs[k].first; i < runs[k].last; i += STEP) {
+      const Four error = dot(rays_at(blocks, i), plane) + load(&blocks.rho[i]);
+      const Four square = error * error;
+      total += before(i, runs[k].last) * (square < most ? square : most);
+    }
+  return sum(total);
 }
 
 // Squared errors of blocks on a plane.
@@ -128,41 +176,20 @@ double sum_of_more(const double* gain, const double* taken, int first, int last)
   return sum(total);
 }
 
-// What each block adds to a plane's equations: A row by row from the diagonal on, b, nothing.
-struct Terms {
-  Four A0, A1b, b2;
-};
-
-// Equations of some blocks, each weighted by its error on a plane; all alike where there is none.
-FOR_EACH_PROCESSOR
-Equations equations_of(const Whitened& blocks, const Terms* terms, const int* which, int n,
-                       const Vec3* plane, double softness) {
-  Four A0 = broadcast(0), A1b = broadcast(0), b2 = broadcast(0);
-  for (int k = 0; k < n; ++k) {
-    const int i = which[k];
-    double weight = 1;
-    if (plane) {
-      const double error = blocks.error(i, *plane), d = 1 + error * error * softness;
-      weight = 1 / (d * d);
-    }
-    A0 += terms[i].A0 * weight;
-    A1b += terms[i].A1b * weight;
-    b2 += terms[i].b2 * weight;
-  }
-  Equations e;
-  e.A = {A0[0], A0[1], A0[2], 0, A0[3], A1b[0], 0, 0, A1b[1]};
-  e.b = {A1b[2], A1b[3], b2[0]};
-  e.mirror();
-  return e;
-}
+constexpr int WIDEST = 5;  // columns of a window
 
 struct Window {
-  int begin, end;  // of its members
+  std::array<Run, WIDEST> runs;  // of its blocks, one in each column
+  int columns, column;           // their number, and the first
+  int count;                     // blocks
   bool is_tall;
   int judged;  // blocks
   double centre[2];
   Vec3 plane;
   double cost;
+
+  const Run* begin() const { return runs.data(); }
+  const Run* end() const { return runs.data() + columns; }
 };
 
 struct Track {
@@ -192,7 +219,6 @@ class Search {
   const std::vector<int>& order() const { return order_; }
 
  private:
-  static constexpr int WIDEST = 5;  // columns of a window
   void tile(int wide, int high, bool is_tall);
   void fit_window(Window& window, const Mat3& basis);
   void judge();
@@ -216,13 +242,12 @@ class Search {
   const Vec3 up_;
   std::vector<int> order_;
   Whitened blocks_;
-  std::vector<double> x_, y_, squared_, taken_;
+  std::vector<double> x_, y_, squared_, capped_, taken_;  // capped_: sums up to each block
   Cells cells_;
   Components components_;
-  std::vector<Terms> terms_;
   std::vector<int> cell_begin_;  // of each cell, by columns: first block in it or after it
   std::vector<Window> windows_;
-  std::vector<int> members_, best_, judges_, asked_;
+  std::vector<int> best_, judges_, asked_;
   int now_ = 0;
   std::vector<double> worse_;
   std::vector<unsigned char> outline_, wider_;
@@ -258,21 +283,13 @@ Search::Search(const Policy& is, const Vec3& up, Sorted sorted, const double* ra
       components_(cells_) {
   const int n = static_cast<int>(order_.size());
   blocks_.resize(n);
-  for (auto* column : {&x_, &y_, &squared_, &taken_}) column->assign(n + STEP, 0.0);
+  for (auto* column : {&x_, &y_, &squared_, &capped_, &taken_}) column->assign(n + STEP, 0.0);
   for (int i = 0; i < n; ++i) {
     const int from = order_[i];
     for (int j = 0; j < 3; ++j) blocks_.ray[j][i] = rays[3 * from + j] / sigma[from];
     blocks_.rho[i] = rho[from] / sigma[from];
     x_[i] = pixels[2 * from];
     y_[i] = pixels[2 * from + 1];
-  }
-  terms_.resize(n);
-  for (int i = 0; i < n; ++i) {
-    const double r0 = blocks_.ray[0][i], r1 = blocks_.ray[1][i], r2 = blocks_.ray[2][i];
-    const double c = -blocks_.rho[i];
-    terms_[i].A0 = Four{r0 * r0, r0 * r1, r0 * r2, r1 * r1};
-    terms_[i].A1b = Four{r1 * r2, r2 * r2, r0 * c, r1 * c};
-    terms_[i].b2 = Four{r2 * c, 0, 0, 0};
   }
   cell_begin_.assign(cells_.columns * cells_.rows + 1, 0);
   for (int i = 0; i < n; ++i) ++cell_begin_[cells_.column[i] * cells_.rows + cells_.row[i] + 1];
@@ -284,23 +301,21 @@ void Search::tile(int wide, int high, bool is_tall) {
   const int across = wide / 2, down = high / 2;
   for (int j = 0; j * down < cells_.rows; ++j)
     for (int i = 0; i * across < cells_.columns; ++i) {
-      const int begin = static_cast<int>(members_.size());
-      const int row = j * down, end = std::min(j * down + high, cells_.rows);
-      double centre[2] = {0, 0};
-      for (int c = i * across; c < std::min(i * across + wide, cells_.columns); ++c)
-        for (int k = cell_begin_[c * cells_.rows + row]; k < cell_begin_[c * cells_.rows + end];
-             ++k) {
-          members_.push_back(k);
-          centre[0] += x_[k];
-          centre[1] += y_[k];
-        }
-      const int count = static_cast<int>(members_.size()) - begin;
-      if (count < is_.least) {
-        members_.resize(begin);
-        continue;
+      const int row = j * down, bottom = std::min(j * down + high, cells_.rows);
+      Window window{};
+      window.column = i * across;
+      window.is_tall = is_tall;
+      for (int c = i * across; c < std::min(i * across + wide, cells_.columns); ++c) {
+        const Run run{cell_begin_[c * cells_.rows + row], cell_begin_[c * cells_.rows + bottom]};
+        window.runs[window.columns++] = run;
+        window.count += run.last - run.first;
       }
-      windows_.push_back({begin, begin + count, is_tall, 0,
-                          {centre[0] / count, centre[1] / count}, {}, 0});
+      if (window.count < is_.least) continue;
+      for (const Run& run : window)
+        for (int k = run.first; k < run.last; ++k)
+          window.centre[0] += x_[k], window.centre[1] += y_[k];
+      for (double& centre : window.centre) centre /= window.count;
+      windows_.push_back(window);
     }
 }
 
@@ -309,8 +324,7 @@ void Search::fit_window(Window& window, const Mat3& basis) {
   const double softness = 1 / is_.cap;
   Equations e;
   for (int step = 0; step < 3; ++step) {
-    e = equations_of(blocks_, terms_.data(), &members_[window.begin], window.end - window.begin,
-                     step ? &window.plane : nullptr, softness);
+    e = equations_in(blocks_, window.begin(), window.columns, window.plane, step ? softness : 0);
     e.ridge(10 * std::numeric_limits<double>::epsilon());
     Mat3 L = e.A;
     window.plane = e.b;
@@ -350,10 +364,10 @@ bool Search::look() {
   std::vector<double> squared;
   for (Window& window : windows_) {
     fit_window(window, basis);
-    if (window.end - window.begin < 1.5 * is_.least || window.is_tall) continue;
-    for (int k = window.begin; k < window.end; ++k) {
-      const double error = blocks_.error(members_[k], window.plane);
-      squared.push_back(error * error);
+    if (window.count < 1.5 * is_.least || window.is_tall) continue;
+    for (const Run& run : window) {
+      squared_errors(blocks_, run.first, run.last, window.plane, squared_.data());
+      squared.insert(squared.end(), &squared_[run.first], &squared_[run.last]);
     }
   }
   double noise = 1;
@@ -375,19 +389,12 @@ void Search::judge() {
   best_.assign(blocks_.n, -1);
   for (int w = 0; w < static_cast<int>(windows_.size()); ++w) {
     Window& window = windows_[w];
-    double cost = 0;
-    for (int k = window.begin; k < window.end; ++k) {
-      const double error = blocks_.error(members_[k], window.plane);
-      cost += std::min(error * error, is_.cap);
-    }
-    const int count = window.end - window.begin;
-    window.cost = cost / count;
-    const double total = window.cost + 3.0 / count;  // a plane takes three degrees of freedom
-    for (int k = window.begin; k < window.end; ++k)
-      if (total < least[members_[k]]) {
-        least[members_[k]] = total;
-        best_[members_[k]] = w;
-      }
+    window.cost = capped_errors(blocks_, window.begin(), window.columns, window.plane, is_.cap) /
+                  window.count;
+    const double total = window.cost + 3.0 / window.count;  // of a plane's degrees of freedom
+    for (const Run& run : window)
+      for (int k = run.first; k < run.last; ++k)
+        if (total < least[k]) least[k] = total, best_[k] = w;
   }
   for (const int w : best_)
     if (w >= 0 && ++windows_[w].judged == is_.judged) judges_.push_back(w);
@@ -407,18 +414,20 @@ void Search::gain_of(const Vec3& plane, int first, int last, std::vector<double>
   gain.assign(blocks_.n + STEP, 0.0);
   if (first >= last) return;
   // The windows that judge them reach beyond.
-  squared_errors(blocks_, first_from(cells_.column[first] - WIDEST),
-                 first_from(cells_.column[last - 1] + WIDEST + 1), plane, squared_.data());
+  const int begin = first_from(cells_.column[first] - WIDEST),
+            end = first_from(cells_.column[last - 1] + WIDEST + 1);
+  squared_errors(blocks_, begin, end, plane, squared_.data());
+  capped_[begin] = 0;
+  for (int i = begin; i < end; ++i) capped_[i + 1] = capped_[i] + std::min(squared_[i], is_.cap);
   ++now_;
   for (int i = first; i < last; ++i) {
     const int w = best_[i];
     if (!(squared_[i] < near) || w < 0) continue;
     if (std::exchange(asked_[w], now_) != now_) {
       const Window& window = windows_[w];
-      double mean = 0;
-      for (int k = window.begin; k < window.end; ++k)
-        mean += std::min(squared_[members_[k]], is_.cap);
-      worse_[w] = mean / (window.end - window.begin) - window.cost;
+      double total = 0;
+      for (const Run& run : window) total += capped_[run.last] - capped_[run.first];
+      worse_[w] = total / window.count - window.cost;
     }
     gain[i] = std::max(is_.max_excess - worse_[w], 0.0);
   }
@@ -482,7 +491,7 @@ void Search::see_again(const std::vector<Gaussian>& known, const std::vector<int
 Gaussian Search::grown(const Window& window, int first, int last) const {
   Gaussian out{window.plane, {}};
   for (const double softness : {0.25, 1.0, 1.0}) {
-    Equations e = equations_near(blocks_, x_.data(), y_.data(), first, last, window.centre,
+    Equations e = equations_near(blocks_, x_.data(), y_.data(), {first, last}, window.centre,
                                  is_.reach, out.plane, softness);
     e.ridge(10 * std::numeric_limits<double>::epsilon());
     if (!inverse(e.A, out.covariance)) break;
@@ -514,10 +523,11 @@ void Search::find_new(int room) {
   for (const int w : judges_) {
     const Window& window = windows_[w];
     int vacant = 0;
-    for (int k = window.begin; k < window.end; ++k) vacant += explained[members_[k]] == 0;
-    if (2 * vacant <= window.end - window.begin) continue;
-    const int column = cells_.column[members_[window.begin]];
-    const int first = first_from(column - reach), last = first_from(column + WIDEST + reach);
+    for (const Run& run : window)
+      vacant += static_cast<int>(std::count(&explained[run.first], &explained[run.last], 0.0));
+    if (2 * vacant <= window.count) continue;
+    const int first = first_from(window.column - reach),
+              last = first_from(window.column + WIDEST + reach);
     Track track{grown(window, first, last), -1, 1, {}, first, last};
     gain_of(track.now.plane, first, last, track.gain);
     for (int i = first; i < last; ++i)
