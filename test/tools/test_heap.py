@@ -22,13 +22,12 @@ def touched(size):
     return block
 libc.free(touched(20_000_000))
 before = held()
-for _ in range(10):
-    blocks = []
-    for _ in range(5):
-        blocks.append(touched(1_000_000))
-        touched(1000)
-    for block in blocks:
-        libc.free(block)
+blocks = []
+for _ in range(50):
+    blocks.append(touched(1_000_000))
+    touched(1000)
+for block in blocks:
+    libc.free(block)
 print(held() - before)
 """
 
@@ -41,4 +40,4 @@ def test_large_blocks_go_back_to_the_system():
                                     capture_output=True, text=True).stdout)
 
     assert grown('set') < 0.5
-    assert grown('not') > 1  # else the test does not test
+    assert grown('not') > 20  # else the test does not test
