@@ -89,13 +89,16 @@ class CorrespondenceDecoder:
         short = not late and len(whole) and median_flow(whole) < settings.split_flow
         if short or not segment.between:
             return [whole]
-        parts = [self._merge(half, collect(half, settings)) for half in halves(segment, settings)]
-        if late and all(map(len, parts)):
-            return parts
-        # Fewer matches over half the distance: the B frame's vectors mean other pictures.
-        good = min(map(_supported, parts)) >= settings.split_share * len(whole)
-        # Halves that would be chained again lose matches where they are joined.
-        return parts if good and all(map(self._chainer.is_long, parts)) else [whole]
+        parts = []
+        for half in reversed(halves(segment, settings)):  # of the later one fewer agree, as a rule
+            part = self._merge(half, collect(half, settings))
+            # Fewer matches over half the distance: the B frame's vectors mean other pictures.
+            good = _supported(part) >= settings.split_share * len(whole)
+            # Halves that would be chained again lose matches where they are joined.
+            if not (len(part) if late else good and self._chainer.is_long(part)):
+                return [whole]
+            parts.insert(0, part)
+        return parts
 
     def _merge(self, segment: Segment, evidence: Evidence) -> Correspondences:
         return merge(segment, evidence, self._settings, self._expect, self._right)
