@@ -191,6 +191,8 @@ class SceneFilter:
         if not started:
             return TrackingStatus.INITIALISING, TURNING
         scene_state.halt(self._state, -rotation.log(motion.R_cur_from_prev) / dt, noise / dt**2)
+        if self._progress.metric:  # else nothing but the map has told the length
+            scene_ratio.carry_unseen(self._state)
         return self._rested(extraction, TURNING)
 
     def _predict(self, dt: float):
