@@ -192,7 +192,7 @@ class SceneFilter:
             return TrackingStatus.INITIALISING, TURNING
         scene_state.halt(self._state, -rotation.log(motion.R_cur_from_prev) / dt, noise / dt**2)
         if self._progress.metric:  # else nothing but the map has told the length
-            scene_ratio.carry_unseen(self._state)
+            scene_ratio.doubt(self._state, scene_ratio.TURNING)
         return self._rested(extraction, TURNING)
 
     def _predict(self, dt: float):
@@ -267,6 +267,9 @@ class SceneFilter:
             index[plane_id == id] = i
         depths = scene_ratio.depths_of(pair, extraction.motion, settings)
         follows &= self._progress.carried and bool(np.isfinite(extraction.baseline_ratio_sigma))
+        rigid = self._rigid(ground)
+        if rigid and follows:
+            scene_ratio.doubt(self._state, scene_ratio.ABOVE_GROUND)
         ratio = (scene_ratio.told(self._state, extraction, depths, settings, self._progress.rested,
                                   bool(known)) if follows else [])
         if ratio:  # braking hard, a step from the length predicted would go beyond zero
@@ -274,7 +277,7 @@ class SceneFilter:
                                       float(np.exp(self._state.depth_scale)))
         start = self._state.error_to(replace(self._state, current=shown))
         gauge = self._gauge(baseline, first, way, bool(known or ratio))
-        observations = [*self._rigid(ground), *gauge, *ratio]
+        observations = [*rigid, *gauge, *ratio]
         self._state = scene_update.update(
             self._state, start, pair, (index, ids), settings, observations)
         if self._progress.gives_depths_up(follows, bool(ratio)):

@@ -75,3 +75,12 @@ def test_a_camera_that_starts_within_its_first_pair_keeps_its_unit():
         estimate = filter_.step(bare(canyon, k))[0]
     np.testing.assert_allclose(unit * estimate.t_world_from_cam, canyon.pose(10)[1], rtol=0.02,
                                atol=0.05)
+
+
+def test_a_chain_of_lengths_that_grows_is_held_by_the_ground():
+    """Behind buses the map's unit drifts by .5 % in each pair, always one way."""
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    for k in range(1, 41):
+        shown = canyon.extraction(k)
+        estimate, _ = filter_.step(replace(shown, baseline_ratio=shown.baseline_ratio + 0.005))
+    assert estimate.baseline == pytest.approx(np.linalg.norm(canyon.motion(40)[1]), rel=0.02)

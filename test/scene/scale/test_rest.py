@@ -138,3 +138,24 @@ def test_before_the_ground_is_seen_the_unit_is_what_it_would_tell():
     above = bare.x_cur[:, 1] < bare.K[1, 2]
     none = replace(bare, label=np.where(above, bare.label, Label.UNKNOWN).astype(np.int8))
     assert scene_rest.supposed_baseline(none, HEIGHT) == 0
+
+
+def test_a_unit_that_drifts_in_a_turn_is_put_right_by_the_ground():
+    """The map's depths are half as large again after a turn; the height is known."""
+    def way(time):
+        return SPEED * min(time, 1.0) + 1.5 * max(time - 3.0, 0.0)**2
+
+    canyon, filter_ = Canyon(way=way), SceneFilter(METRIC)
+    driven(canyon, 10, METRIC, filter_)
+    R_start, _ = canyon.pose(10)
+    R_last = R_start
+    for k in range(11, 31):
+        R = R_start @ rotation.exp(np.array([0, 1.2 * np.sin(np.pi * (k - 10) / 20), 0]))
+        filter_.step(turning(canyon, k, R, R_last))
+        R_last = R
+    before, first = (np.linalg.norm(canyon.motion(k)[1]) for k in (10, 31))
+    shown = replace(canyon.extraction(31), baseline_ratio=np.log(1.5 * first / before),
+                    baseline_ratio_sigma=0.002)
+    after = [filter_.step(shown)[0], *driven(canyon, 40, METRIC, filter_, first=32)]
+    truth = [np.linalg.norm(canyon.motion(k)[1]) for k in range(31, 41)]
+    np.testing.assert_allclose([e.baseline for e in after][2:], truth[2:], rtol=0.03)
