@@ -27,6 +27,7 @@ from mv_slapse.records import (
     WITH_POSE,
 )
 from mv_slapse.storage.results import ResultsWriter
+from mv_slapse.tools import heap
 from mv_slapse.tools.history import History
 from mv_slapse.tools.inputs import open_input, VideoInput
 from mv_slapse.tools.placing import Placing
@@ -37,6 +38,7 @@ import numpy as np
 STAGES = ('decode', 'extract', 'filter', 'obstacles', 'write')
 LIBRARIES = ('mv_slapse', 'av', 'numpy', 'scipy', 'opencv-python-headless', 'rosbags')
 ENOUGH_STAMPS = 10_000  # that tell the mean rate: five minutes
+PICTURES = 1800  # after which free memory is given back: a minute of video, for less than 1 ms
 
 Progress = Callable[[int, int], None]
 
@@ -182,6 +184,8 @@ class _Session:
             if len(self._stamps) < ENOUGH_STAMPS:
                 self._stamps.append(packet.stamp)
             self.summary.frames += 1
+            if self.summary.frames % PICTURES == 0:
+                heap.give_back_free_pages()
             if progress:
                 progress(self.summary.frames, total)
         self._take(self._decode(self._decoder.flush), writer)

@@ -45,3 +45,31 @@ def test_large_blocks_go_back_to_the_system():
 
     assert grown('set') < 0.5
     assert grown('not') > 20  # else the test does not test
+
+
+# Pages that are free between blocks that stay.
+BETWEEN = """
+import ctypes, sys
+from mv_slapse.tools.heap import give_back_free_pages
+def held():
+    return int(open('/proc/self/statm').read().split()[1]) * 4096 / 1e6
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+libc.free.argtypes = [ctypes.c_void_p]
+blocks = [libc.malloc(ctypes.c_size_t(50_000)) for _ in range(800)]
+for block in blocks:
+    ctypes.memset(block, 1, 50_000)
+for block in blocks[::2]:
+    libc.free(block)
+before = held()
+give_back_free_pages()
+print(before - held())
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith('linux'), reason='reads /proc')
+def test_pages_that_are_free_between_blocks_go_back_to_the_system():
+    env = {name: value for name, value in os.environ.items() if not name.startswith('MALLOC_')}
+    back = subprocess.run([sys.executable, '-c', BETWEEN], check=True, env=env,
+                          capture_output=True, text=True).stdout
+    assert float(back) > 15  # of 20 MB
