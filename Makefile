@@ -2,7 +2,8 @@
 SHELL := /bin/sh
 VENV := .venv
 RUN := . $(VENV)/setup.sh &&
-WORKERS ?= 2
+# Half of the tests of nodes is waiting: one more than the cores of a small machine.
+WORKERS ?= 3
 .DEFAULT_GOAL := help
 .PHONY: help setup messages kernels config demo robot-demo test lint build bench evaluate compare losses fuzz kills flips interruptions soak mutants clean
 
