@@ -17,7 +17,6 @@ from mv_slapse.nodes.known_place import KnownPlace  # noqa: E402
 from mv_slapse.nodes.placement import Placement  # noqa: E402
 from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
 from mv_slapse.nodes.shell import Shell  # noqa: E402
-from mv_slapse.nodes.slam import SlamNode  # noqa: E402
 from mv_slapse.storage.archives import map_content, read_map, write_json  # noqa: E402
 from mv_slapse_msgs.msg import PlaneMap  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
@@ -119,12 +118,6 @@ def test_load_map_reads_what_the_parameter_names(bench, saved, tmp_path):
     refused = bench.call(Trigger, '/slam/load_map')
     assert not refused.success
     assert 'none.json cannot be read' in refused.message
-
-
-def test_a_map_that_cannot_be_read_ends_the_node_that_is_to_begin_in_it(bench, tmp_path):
-    (tmp_path / 'map.json').write_text('{}')
-    with pytest.raises(UnusableInput, match='is no map of mv_slapse'):
-        bench.start(SlamNode, map_file=str(tmp_path / 'map.json'))
 
 
 @pytest.mark.parametrize('changes', [

@@ -12,8 +12,6 @@ import av  # noqa: E402
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.codec import source  # noqa: E402
 from mv_slapse.codec.encoding.encoder import LOW_LATENCY, write_video  # noqa: E402
-from mv_slapse.errors import UnusableInput  # noqa: E402
-from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402
 from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402
 from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
 from mv_slapse.records import SegmentKind  # noqa: E402
@@ -137,8 +135,3 @@ def test_a_stream_without_vectors_from_the_network_is_encoded_again(bench, tmp_p
     with network.camera(port, (tmp_path / 'hevc.ts').read_bytes(), held=3.0):
         assert bench.spin(lambda: received, 20)
     assert value_of(node, 'encoded again') == 'hevc'
-
-
-def test_a_protocol_that_is_not_taken_ends_the_node_at_once(bench):
-    with pytest.raises(UnusableInput, match='protocol not allowed'):
-        bench.start(AllInOneNode, source='ftp://127.0.0.1/a.ts', tf_wait=0.0)

@@ -65,7 +65,7 @@ def test_all_nodes_take_their_parameter_files_and_end_cleanly_on_sigint(bench):
 
 
 def test_a_node_ends_cleanly_on_sigterm(bench):
-    process = start('slam', '-r', '__node:=told')  # a name that none had that ended just before
+    process = start('slam', '-r', '__node:=told')  # no name of a test before
     assert bench.spin(lambda: 'told' in names_of(bench.peer), 30)
     stop([process], signal.SIGTERM)
 
@@ -267,6 +267,23 @@ def test_a_source_that_is_not_there_ends_the_node_with_code_3(ros_domain):
     said, _ = process.communicate(timeout=20)
     assert process.returncode == 3
     assert '/missing/film.mp4' in said
+    assert 'Traceback' not in said
+
+
+def test_a_map_that_cannot_be_read_ends_the_node_that_is_to_begin_in_it(ros_domain, tmp_path):
+    (tmp_path / 'map.json').write_text('{}')
+    process = start('slam', '-p', f'map_file:={tmp_path}/map.json')
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode == 3
+    assert 'is no map of mv_slapse' in said
+    assert 'Traceback' not in said
+
+
+def test_a_protocol_that_is_not_taken_ends_the_node_at_once(ros_domain):
+    process = start('all_in_one', '-p', 'source:=ftp://127.0.0.1/a.ts', '-p', 'tf_wait:=0.0')
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode == 3
+    assert 'protocol not allowed' in said
     assert 'Traceback' not in said
 
 
