@@ -217,18 +217,16 @@ def ours(inputs: Inputs, clock: Clock, folder: Path) -> list[Step]:
     packets, camera, settings = inputs.packets, inputs.camera, inputs.settings
     decoder, steps = CorrespondenceDecoder(settings.decoder, camera), []
     slapse = Slapse(camera, settings)
-    frames = decoder._frames
-    for verb in ('feed', 'flush'):
-        setattr(frames, verb, clock.charged(DECODING, getattr(frames, verb)))
     with ExitStack() as stack, ResultsWriter(folder) as writer:
         for name, path in PARTS.items():
             holder, attribute = place(path)
             stack.enter_context(mock.patch.object(
                 holder, attribute, clock.charged(name, getattr(holder, attribute))))
-        for stage, part, verb in (('extraction', '_extractor', 'extract'),
-                                  ('scene filter', '_scene', 'step'),
-                                  ('tracker', '_tracker', 'step')):
-            part = getattr(slapse, part)
+        for stage, part, verb in ((DECODING, decoder._frames, 'feed'),
+                                  (DECODING, decoder._frames, 'flush'),
+                                  ('extraction', slapse._extractor, 'extract'),
+                                  ('scene filter', slapse._scene, 'step'),
+                                  ('tracker', slapse._tracker, 'step')):
             setattr(part, verb, clock.charged(stage, getattr(part, verb)))
         for feed in [*(lambda p=p: decoder.feed(p) for p in packets), decoder.flush]:
             for pair in clock.run('correspondences', feed):
@@ -386,8 +384,8 @@ def required(measured: Sequence[Measured]) -> list[tuple[str, list[float]]]:
             # Larger pictures have longer vectors, so that more segments are split into two pairs.
             more = large.pairs / large.frames / (small.pairs / small.frames)
             name = f'street, 1080p ÷ 640×480, {NAMES[file]}: {BEYOND}'
-            rows += [(name + each, [every[0] / by, median(every) / by, every[-1] / by])
-                     for each, by in (('', 1), (', of a pair', more))]
+            rows += [(name + of, [every[0] / times, median(every) / times, every[-1] / times])
+                     for of, times in (('', 1), (', of a pair', more))]
     return rows
 
 

@@ -21,7 +21,7 @@ def give_back_large_blocks():
 
 
 def give_back_free_pages():
-    """Give the system back what is free between blocks that stay, some thousand pages at most.
+    """Give the system back what is free between blocks that stay.
 
     Where a run makes and drops arrays of all sizes for hours, such pages become more by a MB an
     hour. Other C libraries than glibc cannot, and nothing is done.

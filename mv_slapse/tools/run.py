@@ -38,7 +38,7 @@ import numpy as np
 STAGES = ('decode', 'extract', 'filter', 'obstacles', 'write')
 LIBRARIES = ('mv_slapse', 'av', 'numpy', 'scipy', 'opencv-python-headless', 'rosbags')
 ENOUGH_STAMPS = 10_000  # that tell the mean rate: five minutes
-PICTURES = 1800  # after which free memory is given back: a minute of video, for less than 1 ms
+PICTURES = 1800  # after which free memory is given back: a minute of video, for some 2 ms
 
 Progress = Callable[[int, int], None]
 

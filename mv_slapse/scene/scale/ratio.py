@@ -25,8 +25,9 @@ VAGUE = 1.2
 # By how much the log of the map's unit drifts in a pair beyond ``ratio_drift``. Without parallax
 # noise alone carries the depths: over rendered spins and hovers of 20 to 40 pairs by .1 to .8.
 TURNING = 0.1
-# Where a height over the ground tells the length, too: .2 to .4 % on rendered streets, 1 to 1.3
-# on kitti00, .8 to 3 behind buses. Other planes err as depths do; the chain is better than they.
+# Where a height over the ground tells the length, too, by other matter than the depths: measured
+# are .2 to .4 % a pair on rendered streets, 1 to 1.3 on kitti00, .8 to 3 behind buses. Where
+# nothing but planes does, which err as the depths do, the chain is better than they are.
 ABOVE_GROUND = 0.009
 
 
@@ -91,7 +92,8 @@ def observed(depths: Depths, sigma: float) -> Observation:
 
     The depths of the pair before have a common error, which a ratio holds with the opposite sign
     of the next: such errors must not add up. So the scale of the depths is a state, moved by
-    the ratio (see move), and the baseline equals it but for the pair's own, ``sigma`` as a share.
+    the ratio (see move), and the baseline equals it but for the pair's own common error, ``sigma``
+    as a share.
     """
     return Observation(Kind.DEPTH_RATIO, sigma,
                        depths=np.concatenate([depths.R.ravel(), depths.t, depths.slope]))
@@ -115,7 +117,8 @@ def begin(state: SceneState, depths: Depths, sigma: float) -> bool:
 
 def doubt(state: SceneState, sigma: float):
     """Make the scale of the depths less sure, by a share."""
-    state.error.P[state.at('depth_scale'), state.at('depth_scale')] += sigma**2
+    at = state.at('depth_scale')
+    state.error.P[at, at] += sigma**2
 
 
 def move(state: SceneState, log_ratio: float, sigma: float):

@@ -52,6 +52,17 @@ def turning(canyon, k, R, R_before):
                                               covariance=covariance))
 
 
+def turns(canyon, filter_, first, last):
+    """Yield each turn (world from camera), aside and back, and what the filter says of it."""
+    R_start, _ = canyon.pose(first - 1)
+    R_last = R_start
+    for k in range(first, last + 1):
+        share = (k - first + 1) / (last - first + 1)
+        R = R_start @ rotation.exp(np.array([0, 1.2 * np.sin(np.pi * share), 0]))
+        yield R, filter_.step(turning(canyon, k, R, R_last))[0]
+        R_last = R
+
+
 @pytest.mark.parametrize('settings', [METRIC, SceneSettings()])
 def test_a_turn_on_the_spot_leaves_the_position_and_the_scale(settings):
     """It stops, looks aside and back for four seconds, and drives on."""
@@ -60,14 +71,10 @@ def test_a_turn_on_the_spot_leaves_the_position_and_the_scale(settings):
 
     canyon, filter_ = Canyon(way=way), SceneFilter(settings)
     driven(canyon, 10, settings, filter_)
-    R_start, _ = canyon.pose(10)
-    R_last, places = R_start, []
-    for k in range(11, 51):
-        R = R_start @ rotation.exp(np.array([0, 1.2 * np.sin(np.pi * (k - 10) / 40), 0]))
-        spun = filter_.step(turning(canyon, k, R, R_last))[0]
+    places = []
+    for R, spun in turns(canyon, filter_, 11, 50):
         assert spun.status is TrackingStatus.OK
         assert canyon_views.turn_between(spun.R_world_from_cam, R) < 2e-3
-        R_last = R
         places.append(spun.t_world_from_cam)
     unit = 1.0 if settings.camera_height else 0.1 * SPEED
     assert np.linalg.norm(unit * spun.t_world_from_cam - canyon.pose(10)[1]) < 0.05
@@ -147,12 +154,8 @@ def test_a_unit_that_drifts_in_a_turn_is_put_right_by_the_ground():
 
     canyon, filter_ = Canyon(way=way), SceneFilter(METRIC)
     driven(canyon, 10, METRIC, filter_)
-    R_start, _ = canyon.pose(10)
-    R_last = R_start
-    for k in range(11, 31):
-        R = R_start @ rotation.exp(np.array([0, 1.2 * np.sin(np.pi * (k - 10) / 20), 0]))
-        filter_.step(turning(canyon, k, R, R_last))
-        R_last = R
+    for _ in turns(canyon, filter_, 11, 30):
+        pass
     before, first = (np.linalg.norm(canyon.motion(k)[1]) for k in (10, 31))
     shown = replace(canyon.extraction(31), baseline_ratio=np.log(1.5 * first / before),
                     baseline_ratio_sigma=0.002)
