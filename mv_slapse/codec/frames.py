@@ -135,12 +135,16 @@ class FrameDecoder:
             return None
         references = self._continuity.references(picture.pts) or (
             self.references if kind is not FrameType.I else 1)
+        apart = kind is FrameType.B and not self._continuity.is_reference(picture.pts)
         damage = self._continuity.damage(picture.pts, stamp)
-        if getattr(picture, 'is_corrupt', False):
-            damage = damage or 'the decoder calls the picture corrupt'
         exported = picture.side_data.get('MOTION_VECTORS')
         if kind is FrameType.B and self._context.name in ZERO_IN_B:
             exported = None
+        if getattr(picture, 'is_corrupt', False):
+            if apart:  # no other vector means this picture: its own are left out, and all is told
+                exported = None
+            else:
+                damage = damage or 'the decoder calls the picture corrupt'
         table = columns(None if exported is None else np.frombuffer(exported, np.uint8))
         luma = _luma(picture) if self._with_luma and kind is not FrameType.B else None
         return FrameVectors(stamp, kind, picture.width, picture.height, references=references,

@@ -49,6 +49,7 @@ class Place:
     turn: int = 0  # where the count turns over to zero; 0 where it is not known
     reason: str = ''  # why pictures decoded before this one are missing; else empty
     references: int | None = None  # most pictures in a list of them, by the picture's own header
+    is_reference: bool = True  # whether others may be predicted from it, for all that is known
 
 
 class Places:
@@ -88,7 +89,7 @@ class OrderCount(Places):
         sps = self._headers.sps
         turn = 1 << (sps.log2_max_frame_num if sps.order_type else sps.order_bits)
         return Place(self._sequence, self._next(header, missing), turn=turn, reason=reason,
-                     references=header.references)
+                     references=header.references, is_reference=header.is_reference)
 
     def _next(self, header: SliceHeader, missing: int) -> int | None:
         kind = self._headers.sps.order_type
@@ -131,7 +132,7 @@ class GroupPlaces(Places):
             self._turns, count = self._turns + TURN, count + TURN
         self._pictures = max(self._pictures, count + 1)
         index = self._begin + count if self._trust > 0 else None
-        return Place(self._group, count, index, turn=TURN)
+        return Place(self._group, count, index, turn=TURN, is_reference=not is_b_picture(data))
 
     def _read_rate(self, head: bytes):
         at = head.find(SEQUENCE)
@@ -164,7 +165,8 @@ class VopTime(Places):
         at = data.find(VOP)
         self._read_resolution(data if at < 0 else data[:at])
         try:
-            return Place(time=self._time(data, at) if at >= 0 and self._resolution else None)
+            return Place(time=self._time(data, at) if at >= 0 and self._resolution else None,
+                         is_reference=not is_b_picture(data))
         except EOFError:
             return Place()
 
@@ -261,6 +263,10 @@ class Continuity:
     def references(self, number: int) -> int | None:
         """Return how many references a packet's picture tells that it has."""
         return self._places[number].references if number in self._places else None
+
+    def is_reference(self, number: int) -> bool:
+        """Return whether other pictures may be predicted from a packet's picture."""
+        return self._places.get(number, Place()).is_reference
 
     def damage(self, number: int, stamp: int) -> str:
         """Return why the picture of a packet cannot be joined to the one shown before it."""

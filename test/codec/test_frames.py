@@ -4,9 +4,11 @@ from io import BytesIO
 from itertools import pairwise
 
 import av
+from mv_slapse.codec.bitstream import Headers
 from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
 from mv_slapse.codec.frames import _Stamps, FrameDecoder
 from mv_slapse.codec.packet import Packet
+from mv_slapse.codec.places import places_of
 from mv_slapse.errors import UnusableInput
 from mv_slapse.records import FrameType
 import numpy as np
@@ -84,6 +86,34 @@ def test_a_picture_with_a_hole_in_its_bytes_is_damaged(rng):
     packets[5] = replace(packets[5], data=data[:at] + bytes(60) + data[at + 60:])
     said = {5: 'the decoder calls the picture corrupt'}
     assert [frame.damage for frame in decoded(packets)] == [said.get(i, '') for i in range(14)]
+
+
+@pytest.mark.parametrize('encoding', [MPEG2, Encoding('h264', 2, 12)])
+def test_a_damaged_b_picture_that_no_other_refers_to_loses_its_own_vectors_alone(rng, encoding):
+    packets = list(encode(pictures.sliding(rng, 14, (2, 1)), 25, encoding))
+    clean = decoded(packets)
+    hurt = next(i for i, frame in enumerate(clean) if i > 3 and frame.frame_type is FrameType.B)
+    at = next(i for i, p in enumerate(packets) if p.stamp == clean[hurt].stamp)
+    data, cut = packets[at].data, len(packets[at].data) // 3
+    packets[at] = replace(packets[at], data=data[:cut] + bytes(60) + data[cut + 60:])
+    frames = decoded(packets)
+    assert [len(frame) for frame in frames] == [
+        0 if i == hurt else len(frame) for i, frame in enumerate(clean)]
+    assert not any(frame.damage for frame in frames)
+
+
+def test_a_damaged_b_picture_that_others_refer_to_tears(rng):
+    """Where one bit of a header was flipped, it may be a P picture that only looks like a B one."""
+    pyramid = Encoding('h264', 3, 12, {'x264-params': 'ref=3:b-adapt=0:b-pyramid=normal'})
+    packets = list(encode(pictures.sliding(rng, 14, (2, 1)), 25, pyramid))
+    reader = places_of('h264', Headers(), b'')
+    referred = {p.stamp for p in packets if reader.read(p.data).is_reference}
+    hurt = next(frame for frame in decoded(packets)
+                if frame.frame_type is FrameType.B and frame.stamp in referred)
+    at = next(i for i, p in enumerate(packets) if p.stamp == hurt.stamp)
+    data, cut = packets[at].data, len(packets[at].data) // 3
+    packets[at] = replace(packets[at], data=data[:cut] + bytes(60) + data[cut + 60:])
+    assert [frame.stamp for frame in decoded(packets) if frame.damage] == [hurt.stamp]
 
 
 def test_a_packet_that_cannot_be_decoded_gives_its_stamp_to_no_picture(rng):

@@ -4,6 +4,7 @@ import av
 from mv_slapse.codec import places
 from mv_slapse.codec.bitstream import Headers, SliceHeader
 from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
+import numpy as np
 import pictures
 import pytest
 
@@ -31,6 +32,17 @@ def test_mpeg_pictures_are_counted_as_they_are_shown(rng):
     found = [(place.sequence, place.count) for place in read('mpeg2video', packets)]
     assert found[:7] == [(1, 0), (1, 3), (1, 1), (1, 2), (2, 2), (2, 0), (2, 1)]
     assert places.GroupPlaces().read(b'\x00\x00\x01\xb3 without a picture').count is None
+
+
+@pytest.mark.parametrize('codec', ['mpeg2video', 'h264', 'mpeg4'])
+def test_pictures_that_no_other_refers_to_are_told_by_their_headers(rng, codec):
+    packets = mpeg4(rng, 2) if codec == 'mpeg4' else [
+        packet.data for packet in encode(pictures.sliding(rng, 30, (2, 1)), 30,
+                                         Encoding(codec, 2, 12))]
+    reader = places.places_of(codec, Headers(), b'')
+    told = [reader.read(bytes(data)).is_reference for data in packets]
+    assert 0.3 < np.mean(told) < 0.6
+    assert places.Place().is_reference  # a damaged header tells nothing
 
 
 def test_time_codes_of_groups_number_the_pictures_once_they_have_been_right(rng):
