@@ -26,7 +26,7 @@ help: ## list the targets
 
 READY := $(LIBRARIES) $(MESSAGES) $(KERNELS) $(PACKAGE)
 
-setup: $(READY) $(OTHERS) ## make .venv with ROS 2 Jazzy, all libraries, messages, kernels and mv_slapse
+setup: $(OTHERS) $(READY) ## make .venv with ROS 2 Jazzy, all libraries, messages, kernels and mv_slapse
 
 $(LIBRARIES): .setup/environment.sh $(wildcard .setup/*.txt)
 	@sh .setup/environment.sh $(VENV)
@@ -36,10 +36,10 @@ $(MESSAGES): $(LIBRARIES) .setup/messages.sh setup.py $(INTERFACES)
 	@sh .setup/messages.sh $(VENV) msg_defs
 	@touch $@
 
-# Messages of other packages, which the tests need and no package index has.
-$(OTHERS): $(LIBRARIES) $(MESSAGES) .setup/messages.sh setup.py $(OTHER_INTERFACES)
-	@sh .setup/messages.sh $(VENV) test/interfaces/*/
-	@touch $@
+# Messages of other packages, too, which the tests need and no package index has; side by side.
+$(OTHERS): $(LIBRARIES) .setup/messages.sh setup.py $(INTERFACES) $(OTHER_INTERFACES)
+	@sh .setup/messages.sh $(VENV) msg_defs test/interfaces/*/
+	@touch $(MESSAGES) $@
 
 $(KERNELS): $(LIBRARIES) .setup/kernels.sh setup.py mv_slapse/kernels \
         $(wildcard mv_slapse/kernels/*.cpp mv_slapse/kernels/*.hpp mv_slapse/kernels/CMakeLists.txt)
@@ -50,7 +50,7 @@ $(PACKAGE): $(LIBRARIES) .setup/package.sh setup.py setup.cfg package.xml $(wild
 	@sh .setup/package.sh $(VENV)
 	@touch $@
 
-messages: $(MESSAGES) $(OTHERS) ## generate the messages of msg_defs into .venv
+messages: $(OTHERS) ## generate the messages of msg_defs into .venv
 
 kernels: $(KERNELS) ## compile the kernels of mv_slapse/kernels into .venv
 

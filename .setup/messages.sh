@@ -14,22 +14,30 @@ installed() {  # installed PACKAGE: in a ROS prefix other than the virtual envir
     exit 1)
 }
 
-for package in "$@"; do
-    [ -e "$package/package.xml" ] || continue
-    name=$(basename "$package")
-    if installed "$name"; then
-        continue
-    fi
-    sum=$(find "$package" -type f | sort | xargs cksum | cksum)
+generate() {  # generate PACKAGE
+    name=$(basename "$1")
+    sum=$(find "$1" -type f | sort | xargs cksum | cksum)
     if [ "$(cat "$venv/build/$name.sum" 2>/dev/null)" = "$sum" ]; then
-        continue
+        return
     fi
-    echo "mv_slapse set-up: generating the messages of $package"
-    if ! "$venv/bin/python" setup.py -q interfaces --source "$package" --prefix "$venv" \
-            --build "$venv/build/$name" >"$venv/messages.log" 2>&1; then
-        tail -n 40 "$venv/messages.log" >&2
-        echo "mv_slapse set-up: the messages of $package could not be built" >&2
-        exit 1
+    echo "mv_slapse set-up: generating the messages of $1"
+    if ! "$venv/bin/python" setup.py -q interfaces --source "$1" --prefix "$venv" \
+            --build "$venv/build/$name" >"$venv/messages_$name.log" 2>&1; then
+        tail -n 40 "$venv/messages_$name.log" >&2
+        echo "mv_slapse set-up: the messages of $1 could not be built" >&2
+        return 1
     fi
     echo "$sum" >"$venv/build/$name.sum"
+}
+
+# Side by side: much of the time one core looks for packages.
+running=
+for package in "$@"; do
+    [ -e "$package/package.xml" ] || continue
+    installed "$(basename "$package")" && continue
+    generate "$package" &
+    running="$running $!"
+done
+for job in $running; do
+    wait "$job"
 done
