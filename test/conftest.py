@@ -20,16 +20,18 @@ os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
 if Path(sys.prefix, 'share', 'ament_index').is_dir():
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
 # What takes longest comes first, so that no worker is left alone with it at the end.
-LONGEST = ('test_sanitizers.py', 'test_reproducibility.py', 'system', 'reliability', 'benchmarks',
-           'batch', 'simulation', 'storage', 'nodes', 'tools', 'kernels', 'movers')
+LONGEST = ('test_sanitizers.py', 'test_batch.py', 'test_reproducibility.py', 'test_demo.py',
+           'test_workers.py', 'system', 'test_package.py', 'reliability', 'nodes', 'benchmarks',
+           'batch', 'simulation', 'storage', 'tools', 'kernels', 'movers')
 
 
 def pytest_collection_modifyitems(items):
-    """Sort tests by the rooms that take longest."""
+    """Sort tests by the files and rooms that take longest."""
     def place(item):
-        """Return the place of a test's room."""
-        room = item.path.relative_to(ROOT / 'test').parts[0]
-        return LONGEST.index(room) if room in LONGEST else len(LONGEST)
+        """Return the place of a test's file or room."""
+        names = item.path.relative_to(ROOT / 'test').parts
+        return min((LONGEST.index(name) for name in names if name in LONGEST),
+                   default=len(LONGEST))
 
     items.sort(key=place)
 

@@ -9,17 +9,8 @@ from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.obstacles import motion_model as om
-from mv_slapse.obstacles.detection import (
-    bearing_covariance,
-    blurred,
-    box_of,
-    Detection,
-    Edge,
-    inside,
-    MOST,
-    tiles,
-)
+from mv_slapse.obstacles import detection, motion_model as om
+from mv_slapse.obstacles.detection import Detection, Edge
 from mv_slapse.obstacles.view import View
 from mv_slapse.records import Extraction, Label, MotionStatus, ScalePrior
 import numpy as np
@@ -46,20 +37,22 @@ def found(mu: np.ndarray, P: np.ndarray, box: np.ndarray, extraction: Extraction
     theta, information, near, own = _rate(
         mu, P, rays, extraction.x_prev[at].astype(float),
         extraction.sigma[at].astype(float)**2 + settings.vector_bias**2, view)
-    least = max(settings.min_macroblocks, MOST * len(at))
+    least = max(settings.min_macroblocks, detection.MOST * len(at))
     if not _fill(extraction, at[near], box, least):
         return None
     # What of the blocks is its own, and so how it moves, is not to be told where they disagree.
     agree = _fill(extraction, at[own], box, least)
     own = own if agree else near
-    seen = box_of(extraction.x_cur[at[own]].astype(float), extraction.block[at[own]].astype(float))
+    seen = detection.box_of(extraction.x_cur[at[own]].astype(float),
+                            extraction.block[at[own]].astype(float))
     z, R = mu.copy(), np.diag(np.r_[0.0, 0.0, P[2, 2], np.zeros(3), np.full(2, FREE_SLOPE**2)])
     z[om.RATE], R[om.RATE, om.RATE] = theta / view.dt, np.linalg.inv(information) / view.dt**2
     z[om.BEARING] = to_rays(view.K, (seen[:2] + seen[2:] / 2)[None])[0, :2]
-    x, block = tiles(box + FOLLOW * (seen - box))
-    R[om.BEARING, om.BEARING] = 4 * bearing_covariance(seen, block, view)
-    return blurred(Detection(-1, z, R, False, x, block, ScalePrior.NONE, Edge(0.0, 0.0, 1.0),
-                             has_rate=agree), view, settings)
+    x, block = detection.tiles(box + FOLLOW * (seen - box))
+    R[om.BEARING, om.BEARING] = 4 * detection.bearing_covariance(seen, block, view)
+    return detection.blurred(
+        Detection(-1, z, R, False, x, block, ScalePrior.NONE, Edge(0.0, 0.0, 1.0),
+                  has_rate=agree), view, settings)
 
 
 def _free(extraction, box):
@@ -69,7 +62,8 @@ def _free(extraction, box):
     """
     rests = (extraction.label == Label.STATIONARY.value) & (
         extraction.motion.status is MotionStatus.STANDSTILL)
-    return np.flatnonzero(inside(extraction.x_cur, box) & (extraction.plane_id < 0) & ~rests)
+    return np.flatnonzero(
+        detection.inside(extraction.x_cur, box) & (extraction.plane_id < 0) & ~rests)
 
 
 def _fill(extraction, own, box, number):
