@@ -9,7 +9,8 @@ from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.obstacles import detection, motion_model as om
+from mv_slapse.obstacles import detection
+from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles.detection import Detection, Edge
 from mv_slapse.obstacles.view import View
 from mv_slapse.records import Extraction, Label, MotionStatus, ScalePrior

@@ -103,7 +103,7 @@ def test_a_damaged_b_picture_that_no_other_refers_to_loses_its_own_vectors_alone
 
 
 def test_a_damaged_b_picture_that_others_refer_to_tears(rng):
-    """Where one bit of a header was flipped, it may be a P picture that only looks like a B one."""
+    """Where a bit of a header was flipped, it may be a P picture that only looks like a B one."""
     pyramid = Encoding('h264', 3, 12, {'x264-params': 'ref=3:b-adapt=0:b-pyramid=normal'})
     packets = list(encode(pictures.sliding(rng, 14, (2, 1)), 25, pyramid))
     reader = places_of('h264', Headers(), b'')
