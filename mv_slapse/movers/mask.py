@@ -12,7 +12,6 @@ import cv2
 from mv_slapse.changed import replace
 from mv_slapse.geometry.blocks import grid_shape
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.movers.identity import LIFETIME
 from mv_slapse.movers.moving_plane import MIN_BLOCKS
 from mv_slapse.records import Correspondences, Extraction, Label
 import numpy as np
@@ -20,6 +19,8 @@ import numpy as np
 STRAY = 3.0  # times the median: a vector so far from the middle one is a wrong one
 WEAK = 20.0  # px: a vector errs by 1 px, a mover grows by 0.05 in a pair
 NEVER = -1
+LIFETIME = 350_000_000  # [ns] for which an outline moves on: as many movers are found as at 0.5 s
+BESIDE = 2  # of the eight macroblocks around that one of an outline has; a wrong vector has fewer
 
 
 @dataclass(frozen=True)
@@ -99,10 +100,13 @@ def vote(extraction: Extraction, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _outline(own: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return the macroblocks (M,) inside the convex outline of some."""
+    """Return the macroblocks (M,) inside the convex outline of some, stray ones left out."""
     columns, rows = grid_shape(*size)
     image = np.zeros((rows, columns), np.uint8)
-    at, = own.nonzero()
+    near = cv2.boxFilter(own.reshape(rows, columns).astype(np.uint8), -1, (3, 3), normalize=False,
+                         borderType=cv2.BORDER_CONSTANT).ravel()
+    firm = own & (near > BESIDE)
+    at, = (firm if np.count_nonzero(firm) >= MIN_BLOCKS else own).nonzero()
     if len(at):
         corners = np.empty((len(at), 2), np.int32)
         np.divmod(at, columns, out=(corners[:, 1], corners[:, 0]), casting='unsafe')
