@@ -5,6 +5,7 @@ RUN := . $(VENV)/setup.sh &&
 # Half of the tests of nodes is waiting: one more than the cores of a small machine.
 WORKERS ?= 3
 .DEFAULT_GOAL := help
+.NOTPARALLEL:  # the steps share .venv, and each takes all cores itself
 .PHONY: help setup messages kernels config demo robot-demo test lint build bench evaluate compare losses fuzz kills flips interruptions soak mutants clean
 
 # Stamps, one for each step, so that a step is repeated only when what it reads has changed.

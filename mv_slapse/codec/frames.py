@@ -107,8 +107,9 @@ class FrameDecoder:
         """Give the packet a number: FFmpeg carries it through reordering, whatever the stamp."""
         self._count += 1
         self._stamps.add(self._count, packet.stamp)
-        self._continuity.add(self._count, self._places.read(packet.data))
-        if self._context.name != 'h264' and not places.is_b_picture(packet.data):
+        place = self._places.read(packet.data)
+        self._continuity.add(self._count, place)
+        if self._context.name != 'h264' and place.is_reference:
             self._last_key = packet.data
         return numbered(packet.data, self._count)
 
@@ -133,16 +134,15 @@ class FrameDecoder:
         if stamp is None:
             self._continuity.report(self._count, 'a packet holds more than one picture')
             return None
-        references = self._continuity.references(picture.pts) or (
-            self.references if kind is not FrameType.I else 1)
-        apart = kind is FrameType.B and not self._continuity.is_reference(picture.pts)
+        place = self._continuity.place(picture.pts)
+        references = place.references or (self.references if kind is not FrameType.I else 1)
         damage = self._continuity.damage(picture.pts, stamp)
         exported = picture.side_data.get('MOTION_VECTORS')
         if kind is FrameType.B and self._context.name in ZERO_IN_B:
             exported = None
         if getattr(picture, 'is_corrupt', False):
-            if apart:  # no other vector means this picture: its own are left out, and all is told
-                exported = None
+            if kind is FrameType.B and not place.is_reference:
+                exported = None  # no other picture is predicted from it: the damage ends there
             else:
                 damage = damage or 'the decoder calls the picture corrupt'
         table = columns(None if exported is None else np.frombuffer(exported, np.uint8))

@@ -8,6 +8,7 @@ temporal_reference), ISO/IEC 14496-2 6.3.5 (modulo_time_base, vop_time_increment
 """
 
 from collections import Counter, deque
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -164,11 +165,11 @@ class VopTime(Places):
         """Return the place of a packet's picture, which has a time and no count."""
         at = data.find(VOP)
         self._read_resolution(data if at < 0 else data[:at])
-        try:
-            return Place(time=self._time(data, at) if at >= 0 and self._resolution else None,
-                         is_reference=not is_b_picture(data))
-        except EOFError:
-            return Place()
+        time = None
+        if at >= 0 and self._resolution:
+            with suppress(EOFError):
+                time = self._time(data, at)
+        return Place(time=time, is_reference=not is_b_picture(data))
 
     def _time(self, data: bytes, at: int) -> int:
         gov = data.find(GOV, 0, at)
@@ -260,13 +261,9 @@ class Continuity:
         self._events.setdefault(number, reason)
         forget(self._events, number - KEPT)
 
-    def references(self, number: int) -> int | None:
-        """Return how many references a packet's picture tells that it has."""
-        return self._places[number].references if number in self._places else None
-
-    def is_reference(self, number: int) -> bool:
-        """Return whether other pictures may be predicted from a packet's picture."""
-        return self._places.get(number, Place()).is_reference
+    def place(self, number: int) -> Place:
+        """Return the place of a packet's picture; one that tells nothing where it is unknown."""
+        return self._places.get(number, Place())
 
     def damage(self, number: int, stamp: int) -> str:
         """Return why the picture of a packet cannot be joined to the one shown before it."""

@@ -101,14 +101,15 @@ def vote(extraction: Extraction, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def _outline(own: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the macroblocks (M,) inside the convex outline of some, stray ones left out."""
+    if not own.any():
+        return own
     columns, rows = grid_shape(*size)
-    image = np.zeros((rows, columns), np.uint8)
     near = cv2.boxFilter(own.reshape(rows, columns).astype(np.uint8), -1, (3, 3), normalize=False,
                          borderType=cv2.BORDER_CONSTANT).ravel()
     firm = own & (near > BESIDE)
     at, = (firm if np.count_nonzero(firm) >= MIN_BLOCKS else own).nonzero()
-    if len(at):
-        corners = np.empty((len(at), 2), np.int32)
-        np.divmod(at, columns, out=(corners[:, 1], corners[:, 0]), casting='unsafe')
-        cv2.fillConvexPoly(image, cv2.convexHull(corners), 1)
+    corners = np.empty((len(at), 2), np.int32)
+    np.divmod(at, columns, out=(corners[:, 1], corners[:, 0]), casting='unsafe')
+    image = np.zeros((rows, columns), np.uint8)
+    cv2.fillConvexPoly(image, cv2.convexHull(corners), 1)
     return image.ravel() > 0

@@ -24,6 +24,12 @@ def decoded(packets, with_luma=False):
     return [frame for packet in packets for frame in decoder.feed(packet)] + decoder.flush()
 
 
+def with_hole(packet):
+    """Return a packet without 60 of its bytes, from a third of its length on."""
+    at = len(packet.data) // 3
+    return replace(packet, data=packet.data[:at] + bytes(60) + packet.data[at + 60:])
+
+
 @pytest.mark.parametrize('encoding', ENCODINGS)
 def test_pictures_come_in_order_of_presentation_with_their_stamps(rng, encoding):
     frames = decoded(encode(pictures.sliding(rng, 14, (2, 1)), 25, encoding))
@@ -82,8 +88,7 @@ def test_what_lies_behind_a_packet_in_memory_does_not_matter():
 def test_a_picture_with_a_hole_in_its_bytes_is_damaged(rng):
     """FFmpeg conceals it and calls the picture corrupt; counts and times are whole."""
     packets = list(encode(pictures.sliding(rng, 14, (2, 1)), 25, Encoding('mpeg2video', 0, 12)))
-    data, at = packets[5].data, len(packets[5].data) // 3
-    packets[5] = replace(packets[5], data=data[:at] + bytes(60) + data[at + 60:])
+    packets[5] = with_hole(packets[5])
     said = {5: 'the decoder calls the picture corrupt'}
     assert [frame.damage for frame in decoded(packets)] == [said.get(i, '') for i in range(14)]
 
@@ -94,8 +99,7 @@ def test_a_damaged_b_picture_that_no_other_refers_to_loses_its_own_vectors_alone
     clean = decoded(packets)
     hurt = next(i for i, frame in enumerate(clean) if i > 3 and frame.frame_type is FrameType.B)
     at = next(i for i, p in enumerate(packets) if p.stamp == clean[hurt].stamp)
-    data, cut = packets[at].data, len(packets[at].data) // 3
-    packets[at] = replace(packets[at], data=data[:cut] + bytes(60) + data[cut + 60:])
+    packets[at] = with_hole(packets[at])
     frames = decoded(packets)
     assert [len(frame) for frame in frames] == [
         0 if i == hurt else len(frame) for i, frame in enumerate(clean)]
@@ -111,8 +115,7 @@ def test_a_damaged_b_picture_that_others_refer_to_tears(rng):
     hurt = next(frame for frame in decoded(packets)
                 if frame.frame_type is FrameType.B and frame.stamp in referred)
     at = next(i for i, p in enumerate(packets) if p.stamp == hurt.stamp)
-    data, cut = packets[at].data, len(packets[at].data) // 3
-    packets[at] = replace(packets[at], data=data[:cut] + bytes(60) + data[cut + 60:])
+    packets[at] = with_hole(packets[at])
     assert [frame.stamp for frame in decoded(packets) if frame.damage] == [hurt.stamp]
 
 
