@@ -31,12 +31,7 @@ from unittest import mock  # noqa: E402
 import av  # noqa: E402
 import cv2  # noqa: E402
 from mv_slapse.codec.decoder import CorrespondenceDecoder  # noqa: E402
-from mv_slapse.codec.encoding.encoder import (  # noqa: E402
-    Encoding,
-    LOW_LATENCY,
-    pictures,  # noqa: E402
-    write_video,
-)
+from mv_slapse.codec.encoding.encoder import Encoding, LOW_LATENCY, write_video  # noqa: E402
 from mv_slapse.codec.encoding.recoder import Recoder  # noqa: E402
 from mv_slapse.codec.packet import Packet  # noqa: E402
 from mv_slapse.codec.source import open_source  # noqa: E402
@@ -52,6 +47,7 @@ from mv_slapse.storage.camera_info import read_camera, write_camera  # noqa: E40
 from mv_slapse.storage.results import ResultsWriter  # noqa: E402
 from mv_slapse.storage.tum import read_trajectory, Trajectory, write_poses  # noqa: E402
 from mv_slapse.tools.evaluate import commit_of  # noqa: E402
+from mv_slapse.tools.inputs import pictures  # noqa: E402
 import numpy as np  # noqa: E402
 import odometry  # noqa: E402
 

@@ -133,7 +133,8 @@ class GroupPlaces(Places):
             self._turns, count = self._turns + TURN, count + TURN
         self._pictures = max(self._pictures, count + 1)
         index = self._begin + count if self._trust > 0 else None
-        return Place(self._group, count, index, turn=TURN, is_reference=not is_b_picture(data))
+        is_reference = data[at + 5] >> 3 & 7 != B_PICTURE
+        return Place(self._group, count, index, turn=TURN, is_reference=is_reference)
 
     def _read_rate(self, head: bytes):
         at = head.find(SEQUENCE)
@@ -165,18 +166,18 @@ class VopTime(Places):
         """Return the place of a packet's picture, which has a time and no count."""
         at = data.find(VOP)
         self._read_resolution(data if at < 0 else data[:at])
-        time = None
+        time, is_b = None, 0 <= at < len(data) - 4 and data[at + 4] >> 6 == B_VOP
         if at >= 0 and self._resolution:
             with suppress(EOFError):
-                time = self._time(data, at)
-        return Place(time=time, is_reference=not is_b_picture(data))
+                time = self._time(data, at, is_b)
+        return Place(time=time, is_reference=not is_b)
 
-    def _time(self, data: bytes, at: int) -> int:
+    def _time(self, data: bytes, at: int, is_b: bool) -> int:
         gov = data.find(GOV, 0, at)
         if gov >= 0:
             self._base = _seconds(_plain(data[gov + 4:gov + 8]))
-        bits = _plain(data[at + 4:at + 20])
-        is_b, seconds = bits.bits(2) == B_VOP, 0
+        bits, seconds = _plain(data[at + 4:at + 20]), 0
+        bits.bits(2)
         while bits.bits(1):
             seconds += 1
         bits.bits(1)
@@ -217,15 +218,6 @@ def _resolution(bits: BitReader) -> int:
         return 0  # grey shapes: no encoder writes them
     bits.bits(1)
     return bits.bits(16)
-
-
-def is_b_picture(data: bytes) -> bool:
-    """Return whether an MPEG-1, MPEG-2 or MPEG-4 packet holds a B picture (its coding type)."""
-    at = data.find(PICTURE)
-    if at >= 0 and len(data) > at + 5:
-        return data[at + 5] >> 3 & 7 == B_PICTURE
-    at = data.find(VOP)
-    return at >= 0 and len(data) > at + 4 and data[at + 4] >> 6 == B_VOP
 
 
 def _plain(data: bytes) -> BitReader:

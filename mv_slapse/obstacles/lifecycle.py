@@ -68,17 +68,11 @@ def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSe
     moves, lasts = newest.statistic + newest.score > bound, newest.statistic > bound and alone
     lasted = 1e-9 * (newest.stamp - recent[0].start)
     first_only = not any(e.dof for e in evidence)  # which only the settings can let suffice
-    body = one_body(evidence) + lasts * _lasting(newest.score)
+    # A vehicle whose outline jumps, as where another one hides a part of it, moves all the same.
+    lasting = max(newest.score - RULES.even_score, 0.0) / RULES.per_score
+    body = one_body(evidence) + lasts * lasting
     return (moves and newest.speed >= slowest and lasted >= settings.confirm_time - 1e-6
             and (first_only or body >= RULES.believed))
-
-
-def _lasting(score):
-    """Return the log-likelihood ratio that a region whose score lasts is a body.
-
-    A vehicle whose outline jumps, as where another one hides a part of it, moves all the same.
-    """
-    return max(score - RULES.even_score, 0.0) / RULES.per_score
 
 
 def one_body(evidence: Sequence[Evidence]) -> float:

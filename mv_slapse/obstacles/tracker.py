@@ -60,9 +60,9 @@ class ObstacleTracker:
             Obstacles that came to a stop, for the scene filter.
         """
         if self._scene is not None and extraction.stamp <= self._scene.stamp:
-            if not self._turned_back(extraction):
-                return self._obstacles(self._scene.stamp), []
-            self._forget()
+            if 1e-9 * (self._scene.stamp - extraction.stamp) <= self._settings.lifetime:
+                return self._obstacles(self._scene.stamp), []  # the pair is late
+            self._forget()  # the clock was set back, as by another recording
         self._tracks = [track for track in self._tracks
                         if not self._expired(track, extraction.previous_stamp)]
         self._change_unit(scene)
@@ -81,21 +81,16 @@ class ObstacleTracker:
         self._take(handovers, extraction)
         return self._finish(extraction)
 
-    def _turned_back(self, extraction):
-        """Tell whether the clock was set back, as by another recording; else the pair is late."""
-        return 1e-9 * (self._scene.stamp - extraction.stamp) > self._settings.lifetime
-
     def _forget(self):
         """Begin anew, with ids that were not given yet."""
         self._tracks, self._waiting, self._scene, self._view = [], {}, None, None
 
     def _change_unit(self, scene):
         """Take all along into the unit of a map that becomes metric; forget what cannot come."""
-        if self._scene is None or not units.has_changed(self._scene, scene):
-            return
-        unit = units.last_unit(self._scene, scene)
+        unit = 1.0 if self._scene is None else units.last_unit(self._scene, scene)
         if unit is None:
             self._forget()
+        if unit in (None, 1.0):
             return
         for track in self._tracks:
             track.scale(unit)

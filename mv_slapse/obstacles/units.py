@@ -8,11 +8,6 @@ import numpy as np
 LEAST = 1e-6  # [map unit] of lengths that tell a unit
 
 
-def has_changed(before: SceneEstimate, now: SceneEstimate) -> bool:
-    """Return whether a map began to be metric, or another one began, between two key frames."""
-    return before.scale_status is not now.scale_status
-
-
 def last_unit(before: SceneEstimate, now: SceneEstimate) -> float | None:
     """Return how long the unit of the scene before is in the one of the scene now.
 
@@ -21,7 +16,7 @@ def last_unit(before: SceneEstimate, now: SceneEstimate) -> float | None:
     has a unit. None where nothing tells, and where a map that was metric is no more: that is
     another one.
     """
-    if not has_changed(before, now):
+    if before.scale_status is now.scale_status:
         return 1.0
     if now.scale_status is not ScaleStatus.METRIC:
         return None

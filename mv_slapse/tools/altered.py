@@ -9,11 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from mv_slapse.codec.encoding.encoder import Encoding, pictures
+from mv_slapse.codec.encoding.encoder import Encoding
 from mv_slapse.evaluation.truth import read_arrays
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.storage.tables import read_table
 from mv_slapse.tools.cases import encoded, named, ORIGINAL, Scene, sequence
+from mv_slapse.tools.inputs import pictures
 import numpy as np
 
 LABELLED, BOXED = 10.0, 30.0  # [Hz] of the clips with labelled points, and with boxes

@@ -10,13 +10,7 @@ from itertools import islice, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mv_slapse.codec.encoding.encoder import (
-    Encoding,
-    leave_out,
-    LOW_LATENCY,
-    pictures,
-    write_video,
-)
+from mv_slapse.codec.encoding.encoder import Encoding, leave_out, LOW_LATENCY, write_video
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed
 from mv_slapse.simulation.flight import CUT_FISHEYE, FISHEYE, Flight, FlightSettings, WIDE
@@ -26,6 +20,7 @@ from mv_slapse.simulation.truth import film, film_flight
 from mv_slapse.simulation.wheels import drawn_speeds
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.storage.tum import read_trajectory
+from mv_slapse.tools.inputs import pictures
 import numpy as np
 
 HEIGHTS = {'kitti00': 1.65, 'tusimple': 1.8}  # m, camera above the road, from the data sets

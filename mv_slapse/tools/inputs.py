@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mv_slapse.codec.encoding.recoder import Recoder
+from mv_slapse.codec.encoding.recoder import decoded, Recoder
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.codec.source import open_source
 from mv_slapse.config import EncoderSettings
@@ -14,6 +14,7 @@ from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed
 from mv_slapse.storage import picture_folder, tables
 from mv_slapse.storage.bag_reader import BagReader, is_bag
+import numpy as np
 
 RECODED = ('this codec has no motion vectors that can be read, so that each picture is decoded '
            'and encoded again here; a camera that sends H.264 spares that')
@@ -81,6 +82,16 @@ def open_input(name: str, topic: str | None = None,
     with open_source(name) as source:
         yield VideoInput(coded(source.packets(), recoder), (source.width, source.height),
                          source.n_frames, fps=source.fps, recoder=recoder)
+
+
+def pictures(path: str | Path) -> Iterator[np.ndarray]:
+    """Yield the pictures of a video file, (height, width) uint8 grey, in order of presentation.
+
+    Raises UnusableInput where it cannot be read.
+    """
+    with open_source(path) as source:
+        for frame, _ in decoded(source.packets()):
+            yield frame.to_ndarray(format='gray')
 
 
 def is_from_bag(name: str, topic: str | None = None) -> bool:

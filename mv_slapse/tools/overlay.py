@@ -6,7 +6,7 @@ from typing import Any
 
 from mv_slapse import drawing
 from mv_slapse.codec.encoding.encoder import Encoding, write_video
-from mv_slapse.codec.encoding.recoder import PictureDecoder
+from mv_slapse.codec.encoding.recoder import decoded
 from mv_slapse.config import EncoderSettings
 from mv_slapse.errors import UsageError
 from mv_slapse.evaluation import detection
@@ -54,20 +54,18 @@ def write(path: str | Path, name: str, results: str | Path, topic: str | None = 
 
 def _drawn(packets: Any, results: Results, count: list[int]) -> Iterator[np.ndarray]:
     """Yield the pictures up to the last key frame, each with the labels of the next one."""
-    decoder, labels, stamps = PictureDecoder(), results.labels, results.labels.stamps
+    labels, stamps = results.labels, results.labels.stamps
     centres = np.c_[labels.x, labels.y]
     boxes = detection.confirmed(results.obstacles)
     unit = 'm/s' if results.is_metric else 'u/s'
-    for packet in (*packets, None):
-        frames = decoder.flush() if packet is None else decoder.feed(packet)
-        for frame, stamp in frames:
-            row = int(np.searchsorted(stamps, stamp))
-            if row == len(stamps):
-                return
-            count[0] += 1
-            yield drawing.draw(frame.to_ndarray(format='bgr24'), centres, labels.label[row],
-                               labels.plane[row], _boxes(detection.select(
-                                   boxes, boxes['stamp'] == stamps[row])), unit)
+    for frame, stamp in decoded(packets):
+        row = int(np.searchsorted(stamps, stamp))
+        if row == len(stamps):
+            return
+        count[0] += 1
+        yield drawing.draw(frame.to_ndarray(format='bgr24'), centres, labels.label[row],
+                           labels.plane[row], _boxes(detection.select(
+                               boxes, boxes['stamp'] == stamps[row])), unit)
 
 
 def _boxes(table: detection.Table) -> list[drawing.Box]:

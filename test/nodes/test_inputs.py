@@ -11,13 +11,13 @@ import pytest
 pytest.importorskip('rclpy')
 
 import cv2  # noqa: E402
-from mv_slapse.codec.encoding.encoder import pictures  # noqa: E402
 from mv_slapse.codec.source import open_source  # noqa: E402
 from mv_slapse.evaluation.trajectory import evaluate, figures  # noqa: E402
 from mv_slapse.fields import stamp_from_message  # noqa: E402
 from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402
 from mv_slapse.nodes.conversions import stamp_to_msg, to_message  # noqa: E402
 from mv_slapse.storage.tum import read_trajectory, Trajectory  # noqa: E402
+from mv_slapse.tools.inputs import pictures  # noqa: E402
 from mv_slapse.video_messages import in_band, packet_to_fields  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 import numpy as np  # noqa: E402

@@ -19,7 +19,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from ffmpeg_image_transport_msgs.msg import FFMPEGPacket
-from mv_slapse.codec.encoding.encoder import encode, LOW_LATENCY, pictures
+from mv_slapse.codec.encoding.encoder import encode, LOW_LATENCY
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.source import open_source
 from mv_slapse.fields import stamp_from_message
@@ -27,6 +27,7 @@ from mv_slapse.geometry.plane import WELL_SEEN
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.records import TrackingStatus
 from mv_slapse.storage.tum import read_trajectory
+from mv_slapse.tools.inputs import pictures
 from mv_slapse.video_messages import packet_to_fields
 from mv_slapse_msgs.msg import ObstacleArray, PlaneMap
 from nav_msgs.msg import Odometry

@@ -3,12 +3,13 @@
 from dataclasses import replace
 
 import av
-from mv_slapse.codec.encoding.encoder import LOW_LATENCY, pictures, write_video
+from mv_slapse.codec.encoding.encoder import LOW_LATENCY, write_video
 from mv_slapse.evaluation.truth import read_arrays
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.storage.camera_info import write_camera
 from mv_slapse.storage.tables import read_table
 from mv_slapse.tools.altered import altered, KINDS
+from mv_slapse.tools.inputs import pictures
 import numpy as np
 import pytest
 

@@ -4,13 +4,14 @@ import csv
 from dataclasses import replace
 from types import SimpleNamespace
 
-from mv_slapse.codec.encoding.encoder import LOW_LATENCY, pictures, write_video
+from mv_slapse.codec.encoding.encoder import LOW_LATENCY, write_video
 from mv_slapse.codec.source import open_source
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.simulation.flight import FISHEYE
 from mv_slapse.storage.camera_info import write_camera
 from mv_slapse.storage.tum import read_trajectory, write_poses
 from mv_slapse.tools import cases, evaluate
+from mv_slapse.tools.inputs import pictures
 import numpy as np
 import pytest
 

@@ -1,10 +1,11 @@
 import json
 
 import cv2
-from mv_slapse.codec.encoding.encoder import Encoding, pictures, write_video
+from mv_slapse.codec.encoding.encoder import Encoding, write_video
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.tools import inspect as tool
 from mv_slapse.tools.bag import make_bag
+from mv_slapse.tools.inputs import pictures
 from mv_slapse.tools.main import main
 import numpy as np
 import pytest

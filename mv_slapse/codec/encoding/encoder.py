@@ -12,7 +12,7 @@ from pathlib import Path
 import av
 from mv_slapse.codec.packet import Packet
 from mv_slapse.config import EncoderSettings
-from mv_slapse.errors import UnusableInput, UsageError
+from mv_slapse.errors import UsageError
 import numpy as np
 
 # With qscale set and no quality given FFmpeg searches at a rate multiplier of zero: vectors then
@@ -137,20 +137,6 @@ def write_video(path: str | Path, images: Iterable[np.ndarray], fps: float,
                 configure(stream.codec_context, encoding, width, height, rate)
             container.mux(stream.encode(_numbered(_frame(image), i, 1 / rate)))
         container.mux(stream.encode(None))
-
-
-def pictures(path: str | Path) -> Iterator[np.ndarray]:
-    """Yield the pictures of a video file, (height, width) uint8 grey, in order of presentation.
-
-    Raises UnusableInput where it cannot be read.
-    """
-    try:
-        with av.open(str(path)) as container:
-            for frame in container.decode(video=0):
-                yield frame.to_ndarray(format='gray')
-    except (av.error.FFmpegError, OSError, IndexError) as error:
-        raise UnusableInput(f'{path} cannot be read as a video: {error}; give a video file that '
-                            'FFmpeg can read') from error
 
 
 def leave_out(source: str | Path, path: str | Path, lost: range):
