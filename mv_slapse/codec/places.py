@@ -289,8 +289,9 @@ class Continuity:
         if last.count is None or place.count is None:
             return None
         self._steps.append(place.count - last.count)
-        self._usual, times = _most_common(self._steps)
-        if times < RULES.steady * len(self._steps):
+        counts = Counter(self._steps)  # of equals the smallest above zero is the usual one
+        self._usual = max(counts, key=lambda step: (counts[step], step > 0, -step))
+        if counts[self._usual] < RULES.steady * len(self._steps):
             return None
         return place.count - last.count == self._usual
 
@@ -349,9 +350,3 @@ def forget(items: dict[int, object], first: int):
     """Take out what belongs to packets before ``first``; numbers only grow."""
     while items and (oldest := next(iter(items))) < first:
         del items[oldest]
-
-
-def _most_common(steps: deque[int]) -> tuple[int, int]:
-    """Return the most frequent step and its number; of equals the smallest above zero."""
-    counts = Counter(steps)
-    return max(counts.items(), key=lambda item: (item[1], item[0] > 0, -item[0]))

@@ -48,9 +48,9 @@ class SegmentBuilder:
         previous, between = self._previous, tuple(self._between)
         reason = self._damage or _why_broken(previous, between, frame)
         kind = SegmentKind.BROKEN if reason else kind_of(previous, frame)
-        torn = bool(self._damage)
+        segment = Segment(previous, frame, between, kind, reason, bool(self._damage))
         self._previous, self._between, self._damage = frame, [], ''
-        return Segment(previous, frame, between, kind, reason, torn)
+        return segment
 
 
 def kind_of(previous: FrameVectors, current: FrameVectors) -> SegmentKind:

@@ -20,6 +20,7 @@ STRAY = 3.0  # times the median: a vector so far from the middle one is a wrong 
 WEAK = 20.0  # px: a vector errs by 1 px, a mover grows by 0.05 in a pair
 NEVER = -1
 LIFETIME = 350_000_000  # [ns] for which an outline moves on: as many movers are found as at 0.5 s
+AMID = 4  # of them one beside the outline has that is still the mover's: with fewer 40 % are not
 BESIDE = 2  # of the eight macroblocks around that one of an outline has; a wrong vector has fewer
 
 
@@ -52,10 +53,13 @@ class Silhouettes:
         for id_, motion in self._motions(extraction, correspondences).items():
             seen = self._carried(id_, motion, size, stamp)
             own = (plane == id_) & (label == Label.MOVING.value)
-            seen[_outline(own, size)] = stamp
+            outline = _outline(own, size)
+            seen[outline] = stamp
             # What has a label of its own is none of the mover's.
             seen[~own & (label != Label.UNKNOWN.value)] = NEVER
             held = seen != NEVER
+            # What lies beside the outline and stands out of it the mover has left, as a rule.
+            held &= outline | (_crowd(outline, size) == 0) | (_crowd(held, size) > AMID)
             if held.any():
                 known[id_] = _Silhouette(seen, motion)
                 label[held], plane[held] = Label.MOVING, id_
@@ -99,14 +103,19 @@ def vote(extraction: Extraction, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         int(Label.UNKNOWN))
 
 
+def _crowd(cells: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return how many of the nine macroblocks around and with each (M,) are among some."""
+    columns, rows = grid_shape(*size)
+    return cv2.boxFilter(cells.reshape(rows, columns).astype(np.uint8), -1, (3, 3),
+                         normalize=False, borderType=cv2.BORDER_CONSTANT).ravel()
+
+
 def _outline(own: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the macroblocks (M,) inside the convex outline of some, stray ones left out."""
     if not own.any():
         return own
     columns, rows = grid_shape(*size)
-    near = cv2.boxFilter(own.reshape(rows, columns).astype(np.uint8), -1, (3, 3), normalize=False,
-                         borderType=cv2.BORDER_CONSTANT).ravel()
-    firm = own & (near > BESIDE)
+    firm = own & (_crowd(own, size) > BESIDE)
     at, = (firm if np.count_nonzero(firm) >= MIN_BLOCKS else own).nonzero()
     corners = np.empty((len(at), 2), np.int32)
     np.divmod(at, columns, out=(corners[:, 1], corners[:, 0]), casting='unsafe')

@@ -234,10 +234,8 @@ class ObstacleTracker:
                                            self._settings)
 
     def _expired(self, track, stamp):
-        lifetime = self._settings.lifetime
-        if not track.confirmed:
-            lifetime = min(lifetime, TENTATIVE_LIFETIME)
-        return 1e-9 * (stamp - track.last_seen) > lifetime
+        longest = self._settings.lifetime if track.confirmed else TENTATIVE_LIFETIME
+        return 1e-9 * (stamp - track.last_seen) > min(longest, self._settings.lifetime)
 
     def _obstacles(self, stamp):
         return [track.obstacle(stamp, self._view)

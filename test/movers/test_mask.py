@@ -89,6 +89,14 @@ def test_the_part_that_lost_its_vectors_moves_with_the_rest(film):
     assert np.all(label[2:5, 2:5] == Label.MOVING)
 
 
+def test_what_stands_out_of_the_outline_is_left_behind(film):
+    film.show([(x, y) for x in (2, 3, 4) for y in (1, 2, 3)])
+    label = film.show([(x, y) for x in (2, 3) for y in (1, 2, 3)])
+    expected = np.zeros((6, 8), bool)
+    expected[1:4, 2:4] = expected[2, 4] = True
+    np.testing.assert_array_equal(label == Label.MOVING, expected)
+
+
 def test_a_mover_that_comes_near_grows(film):
     film.show([(x, y) for x in (2, 3, 4) for y in (1, 2, 3)], growth=-0.4)
     assert np.sum(film.show() == Label.MOVING) == 25

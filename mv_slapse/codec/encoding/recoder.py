@@ -60,8 +60,6 @@ class PictureDecoder:
     def _decode(self, wrapped: av.Packet | None) -> list[tuple[av.VideoFrame, int]]:
         try:
             frames = self._context.decode(wrapped)
-        except av.error.EOFError:
-            return []
         except av.error.FFmpegError:
             self._is_whole = False
             return []
