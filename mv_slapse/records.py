@@ -263,7 +263,7 @@ class MapPlane:
     covariance : (4, 4) float64
         Of (normal, depth), tangential to the unit sphere in the normal.
     outline : (M, 3) float64
-        Convex outline of the macroblocks seen on it.
+        Convex outline of the macroblocks seen on it, of 32 corners at most.
     first_stamp, last_stamp, n_observations : int
         When first and last seen [ns]; in how many key frames.
     n_macroblocks : int

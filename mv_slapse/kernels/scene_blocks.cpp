@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "scene.hpp"
 #include "two_view_arguments.hpp"
@@ -273,12 +274,28 @@ std::vector<Point> convex_hull(std::vector<Point> points) {
   return hull;
 }
 
+// Takes the corners out of a convex outline that cut least off, until at most so many are left.
+void simplify(std::vector<Point>& hull, std::size_t most) {
+  while (hull.size() > most) {
+    std::size_t least = 0;
+    double smallest = std::numeric_limits<double>::infinity();
+    for (std::size_t i = 0; i < hull.size(); ++i) {
+      const Point &a = hull[(i + hull.size() - 1) % hull.size()], &b = hull[i];
+      const Point& c = hull[(i + 1) % hull.size()];
+      const double area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+      if (area < smallest) smallest = area, least = i;
+    }
+    hull.erase(hull.begin() + static_cast<std::ptrdiff_t>(least));
+  }
+}
+
 // The convex outline (M, 3) in {W} of where the rays of a plane's blocks meet it and of an older
-// outline (L, 3). `pose` is R (9), t (3); blocks beyond `farthest` plane depths do not count.
+// outline (L, 3), of at most so many corners. `pose` is R (9), t (3); blocks beyond `farthest`
+// plane depths do not count.
 py::array_t<double> plane_outline(const py::object& x_cur, const py::object& plane_id,
                                   std::int32_t id, const py::object& intrinsics,
                                   const py::object& pose, const py::object& values,
-                                  const py::object& old, double farthest) {
+                                  const py::object& old, double farthest, std::size_t most) {
   const char* kernel = "plane_outline";
   const In<float> x(kernel, "x_cur", x_cur, {ANY, 2}, Check::finite);
   const In<std::int32_t> of(kernel, "plane_id", plane_id, {x.size()});
@@ -308,7 +325,10 @@ py::array_t<double> plane_outline(const py::object& x_cur, const py::object& pla
     if (reach > 0 && reach < farthest * std::abs(above) * depth) add(t + reach * toward);
   }
   const bool enough = points.size() >= 3;
-  if (enough) points = convex_hull(std::move(points));
+  if (enough) {
+    points = convex_hull(std::move(points));
+    simplify(points, most);
+  }
   Out<double> out({enough ? static_cast<py::ssize_t>(points.size()) : before.size(), 3});
   for (py::ssize_t i = 0; i < out.array().shape(0); ++i)
     for (int j = 0; j < 3; ++j)

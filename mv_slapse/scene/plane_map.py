@@ -13,6 +13,7 @@ import numpy as np
 
 FARTHEST = 30.0  # an outline ends this many plane depths from the camera: beyond, a block's
 #                  position on a grazing plane is noise
+CORNERS = 32  # of an outline, at most: of a circle all but 0.6 % lies inside
 MOST_LEFT = 200  # planes that the filter gave up and the map still shows
 
 
@@ -193,9 +194,9 @@ class SceneMap:
 
 
 def _outline(state: SceneState, id: int, old: np.ndarray, extraction: Extraction):
-    """Return the convex hull (M, 3) in {W} of a plane's macroblocks and an older outline."""
+    """Return the convex outline (M, 3) in {W} of a plane's macroblocks and of an older one."""
     anchored, pose = state.planes[id], state.current
     return compiled.plane_outline(
         extraction.x_cur, extraction.plane_id, id, extraction.K,
         np.concatenate([pose.R.ravel(), pose.t]), np.array([anchored.plane, anchored.anchor]),
-        old, FARTHEST)
+        old, FARTHEST, CORNERS)

@@ -137,7 +137,7 @@ def test_an_outline_is_the_convex_hull_on_the_plane(rng):
     ids = rng.choice(np.array([3, 4], np.int32), 200)
     R, t = rotation.exp(rng.normal(0, 0.05, 3)), rng.normal(0, 0.1, 3)
     pose, values = np.r_[R.ravel(), t], np.array([plane, anchor])
-    found = compiled.plane_outline(x, ids, 3, K, pose, values, np.zeros((0, 3)), 30.0)
+    found = compiled.plane_outline(x, ids, 3, K, pose, values, np.zeros((0, 3)), 30.0, 200)
     rays = np.c_[(x - K[:2, 2]) / np.diag(K)[:2], np.ones(200)][ids == 3] @ R.T
     above = 1 + plane @ (t - anchor)
     reach = -above / (rays @ plane)
@@ -148,13 +148,27 @@ def test_an_outline_is_the_convex_hull_on_the_plane(rng):
     hull = points[ConvexHull(points @ basis).vertices]
     assert len(found) == len(hull)
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(hull, axis=0), atol=1e-9)
-    again = compiled.plane_outline(x, ids, 7, K, pose, values, found, 30.0)
+    again = compiled.plane_outline(x, ids, 7, K, pose, values, found, 30.0, 200)
     np.testing.assert_allclose(np.sort(again, axis=0), np.sort(found, axis=0), atol=1e-9)
+
+
+def test_an_outline_keeps_the_corners_that_hold_most():
+    turn = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+    ring = np.c_[np.cos(turn), np.sin(turn), np.full(200, 2.0)]
+    ring[50] = 0.0, 4.0, 2.0
+    pose, values = np.r_[np.eye(3).ravel(), 0, 0, 0], np.array([[0, 0, -0.5], [0, 0, 0]])
+    found = compiled.plane_outline(np.zeros((0, 2), np.float32), np.zeros(0, np.int32), 3, K, pose,
+                                   values, ring, 30.0, 32)
+    assert len(found) == 32
+    assert np.abs(found - ring[50]).max(axis=1).min() < 1e-9
+    area = ConvexHull(found[:, :2]).volume
+    assert 0.99 * ConvexHull(ring[:, :2]).volume < area < ConvexHull(ring[:, :2]).volume
+    assert np.all(np.abs(found[:, None] - ring).max(axis=2).min(axis=1) < 1e-9)
 
 
 def test_two_points_make_no_outline():
     old = np.array([[0.0, 0.0, 1.0]])
     found = compiled.plane_outline(np.zeros((1, 2), np.float32), np.array([3], np.int32), 3, K,
                                    np.r_[np.eye(3).ravel(), 0, 0, 0],
-                                   np.array([[0, 0, -1.0], [0, 0, 0]]), old, 30.0)
+                                   np.array([[0, 0, -1.0], [0, 0, 0]]), old, 30.0, 3)
     np.testing.assert_array_equal(found, old)
