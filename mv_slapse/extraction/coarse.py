@@ -6,6 +6,7 @@ factor, and of the blocks in each macroblock of that sensor the most telling one
 """
 
 from dataclasses import replace
+from functools import lru_cache
 
 from mv_slapse.geometry.blocks import grid_centres, grid_index, grid_shape, MACROBLOCK
 from mv_slapse.geometry.camera import Camera
@@ -57,8 +58,7 @@ def extraction_of(coarse: Extraction, factor: float, given: Correspondences,
 
     ``K`` (3, 3): intrinsics of the given one [px].
     """
-    centres = _smaller(grid_centres(given.width, given.height), factor)
-    cell = grid_index(centres, coarse.width, coarse.height)
+    cell = _cells(given.width, given.height, factor)
     size = np.round(coarse.block * factor).astype(np.uint8)
     return replace(
         coarse, width=given.width, height=given.height, K=K, block=size,
@@ -67,6 +67,12 @@ def extraction_of(coarse: Extraction, factor: float, given: Correspondences,
         sigma=(coarse.sigma * factor).astype(np.float32),
         macroblock_label=coarse.macroblock_label[cell],
         macroblock_plane=coarse.macroblock_plane[cell])
+
+
+@lru_cache(4)
+def _cells(width: int, height: int, factor: float) -> np.ndarray:
+    """Return which macroblock (M,) of a smaller picture holds each of a picture [px]."""
+    return grid_index(_smaller(grid_centres(width, height), factor), *_size(width, height, factor))
 
 
 def _smaller(x: np.ndarray, factor: float) -> np.ndarray:

@@ -85,15 +85,11 @@ def one_body(evidence: Sequence[Evidence]) -> float:
     for e in evidence:
         if e.dof:
             weight = min(1e-9 * (e.stamp - e.start) / RULES.independent, 1.0)
-            total = max(total + weight * _favour(e.nis / e.dof, e.overlap), 0.0)
+            nis = min(max(e.nis / e.dof, RULES.least_nis), RULES.most_nis)
+            outline = max(e.overlap, RULES.least_overlap) - RULES.even_overlap
+            favour = RULES.nis_gain * math.log(RULES.even_nis / nis) + RULES.overlap_gain * outline
+            total = max(total + weight * favour, 0.0)
     return total
-
-
-def _favour(nis, overlap):
-    """Return what one detection adds."""
-    bounded = min(max(nis, RULES.least_nis), RULES.most_nis)
-    outline = max(overlap, RULES.least_overlap) - RULES.even_overlap
-    return RULES.nis_gain * math.log(RULES.even_nis / bounded) + RULES.overlap_gain * outline
 
 
 def stands_still(evidence: Sequence[Evidence], unit: float, settings: ObstacleSettings) -> bool:
