@@ -20,8 +20,8 @@ STRAY = 3.0  # times the median: a vector so far from the middle one is a wrong 
 WEAK = 20.0  # px: a vector errs by 1 px, a mover grows by 0.05 in a pair
 NEVER = -1
 LIFETIME = 350_000_000  # [ns] for which an outline moves on: as many movers are found as at 0.5 s
-AMID = 4  # of them one beside the outline has that is still the mover's: with fewer 40 % are not
 BESIDE = 2  # of the eight macroblocks around that one of an outline has; a wrong vector has fewer
+AMID = 4  # of the eight that one beside the outline has, to stay; with fewer 40 % are the road's
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Silhouettes:
             # What has a label of its own is none of the mover's.
             seen[~own & (label != Label.UNKNOWN.value)] = NEVER
             held = seen != NEVER
-            # What lies beside the outline and stands out of it the mover has left, as a rule.
+            # One beside the outline with few of the mover around it is the road's again.
             held &= outline | (_crowd(outline, size) == 0) | (_crowd(held, size) > AMID)
             if held.any():
                 known[id_] = _Silhouette(seen, motion)
