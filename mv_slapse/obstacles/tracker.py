@@ -90,14 +90,13 @@ class ObstacleTracker:
         unit = 1.0 if self._scene is None else units.last_unit(self._scene, scene)
         if unit is None:
             self._forget()
-        if unit in (None, 1.0):
-            return
-        for track in self._tracks:
-            track.scale(unit)
-        self._scene = units.scene_in_unit(self._scene, unit)
-        self._view = self._view.in_unit(unit)
-        self._waiting = {id_: units.handover_in_unit(item, unit)
-                         for id_, item in self._waiting.items()}
+        elif unit != 1.0:
+            for track in self._tracks:
+                track.scale(unit)
+            self._scene = units.scene_in_unit(self._scene, unit)
+            self._view = self._view.in_unit(unit)
+            self._waiting = {id_: units.handover_in_unit(item, unit)
+                             for id_, item in self._waiting.items()}
 
     def _predict(self, extraction, scene, view):
         """Move the tracks on; drop those that leave the view."""

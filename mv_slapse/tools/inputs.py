@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mv_slapse.codec.encoding.recoder import decoded, Recoder
+from mv_slapse.codec.encoding.recoder import PictureDecoder, Recoder
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.codec.source import open_source
 from mv_slapse.config import EncoderSettings
@@ -76,11 +76,11 @@ def open_input(name: str, topic: str | None = None,
         return
     if picture_folder.is_folder(name):
         found = picture_folder.entries(name, encoder.rate if encoder else 0.0)
-        yield VideoInput(coded(picture_folder.pictures(found), recoder), n_frames=len(found),
+        yield VideoInput(through(recoder, picture_folder.pictures(found)), n_frames=len(found),
                          recoder=recoder)
         return
     with open_source(name) as source:
-        yield VideoInput(coded(source.packets(), recoder), (source.width, source.height),
+        yield VideoInput(through(recoder, source.packets()), (source.width, source.height),
                          source.n_frames, fps=source.fps, recoder=recoder)
 
 
@@ -90,7 +90,7 @@ def pictures(path: str | Path) -> Iterator[np.ndarray]:
     Raises UnusableInput where it cannot be read.
     """
     with open_source(path) as source:
-        for frame, _ in decoded(source.packets()):
+        for frame, _ in through(PictureDecoder(), source.packets()):
             yield frame.to_ndarray(format='gray')
 
 
@@ -123,16 +123,16 @@ def read_speeds(given: str, name: str) -> list[Speed]:
     return speeds
 
 
-def coded(items: Iterator[Packet | Picture], recoder: Recoder) -> Iterator[Packet]:
-    """Yield packets with vectors: what has none is encoded in memory."""
+def through(stage: Recoder | PictureDecoder, items: Iterator[Packet | Picture]) -> Iterator:
+    """Yield what a stage makes of items: packets with vectors, or pictures with their stamps."""
     for item in items:
-        yield from recoder.feed(item)
-    yield from recoder.flush()
+        yield from stage.feed(item)
+    yield from stage.flush()
 
 
 def _open_bag(name: str, topic: str | None, recoder: Recoder) -> VideoInput:
     bag = BagReader(name)
     video = bag.video_topic(topic)
     warning = f'{name} has no end; what is whole before the cut is used' if bag.is_cut else ''
-    return VideoInput(coded(bag.packets(video), recoder), None, bag.counts.get(video, 0),
+    return VideoInput(through(recoder, bag.packets(video)), None, bag.counts.get(video, 0),
                       bag.camera(video), warning, recoder=recoder)

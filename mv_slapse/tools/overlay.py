@@ -6,13 +6,13 @@ from typing import Any
 
 from mv_slapse import drawing
 from mv_slapse.codec.encoding.encoder import Encoding, write_video
-from mv_slapse.codec.encoding.recoder import decoded
+from mv_slapse.codec.encoding.recoder import PictureDecoder
 from mv_slapse.config import EncoderSettings
 from mv_slapse.errors import UsageError
 from mv_slapse.evaluation import detection
 from mv_slapse.storage.whole_files import part_of, put_in_place
 from mv_slapse.tools.eval import read_results, Results
-from mv_slapse.tools.inputs import open_input
+from mv_slapse.tools.inputs import open_input, through
 import numpy as np
 
 CODED = Encoding('h264', 0, 30, {'crf': '23', 'preset': 'veryfast'})
@@ -58,7 +58,7 @@ def _drawn(packets: Any, results: Results, count: list[int]) -> Iterator[np.ndar
     centres = np.c_[labels.x, labels.y]
     boxes = detection.confirmed(results.obstacles)
     unit = 'm/s' if results.is_metric else 'u/s'
-    for frame, stamp in decoded(packets):
+    for frame, stamp in through(PictureDecoder(), packets):
         row = int(np.searchsorted(stamps, stamp))
         if row == len(stamps):
             return

@@ -26,14 +26,14 @@ def test_a_file_is_opened_with_its_size(clip):
 
 def test_pictures_are_coded_and_keep_their_stamps():
     items = [Picture(image, PERIOD * k) for k, image in enumerate(pictures())]
-    packets = list(inputs.coded(iter(items), Recoder()))
+    packets = list(inputs.through(Recoder(), iter(items)))
     assert sorted(packet.stamp for packet in packets) == [PERIOD * k for k in range(6)]
     assert {packet.codec for packet in packets} == {'mpeg2video'}
 
 
 def test_packets_pass_as_they_are():
     packets = [Packet(b'x', 0, True, 'h264'), Packet(b'y', 1, False, 'h264')]
-    assert list(inputs.coded(iter(packets), Recoder())) == packets
+    assert list(inputs.through(Recoder(), iter(packets))) == packets
 
 
 def test_raw_pictures_come_out_of_a_bag(tmp_path):

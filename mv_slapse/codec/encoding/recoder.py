@@ -1,7 +1,5 @@
 """Video whose decoder exports no motion vectors, decoded and encoded again in memory."""
 
-from collections.abc import Iterable, Iterator
-
 import av
 from mv_slapse.codec.encoding.encoder import encoding_of, ImageEncoder
 from mv_slapse.codec.frames import codec_of, MAX_PIXELS, numbered, WITH_VECTORS
@@ -69,14 +67,6 @@ class PictureDecoder:
         stamp = self._stamps.pop(frame.pts, None)
         self._is_whole = (self._is_whole or frame.key_frame) and not frame.is_corrupt
         return [(frame, stamp)] if stamp is not None and self._is_whole else []
-
-
-def decoded(packets: Iterable[Packet]) -> Iterator[tuple[av.VideoFrame, int]]:
-    """Yield the pictures of packets, with their stamps [ns]; see ``PictureDecoder.feed``."""
-    decoder = PictureDecoder()
-    for packet in packets:
-        yield from decoder.feed(packet)
-    yield from decoder.flush()
 
 
 class Recoder:
