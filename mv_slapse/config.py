@@ -74,7 +74,8 @@ class DecoderSettings(Checked):
         0.6, '-', 'probability p that one motion vector is right, [SLAPSE] III-B, before the '
         'stream has shown its own', 0.01, 0.999)
     vector_sigma: float = setting(
-        0.25, 'px', 'standard deviation of a right vector, (2) of [SLAPSE]', 0.01, 10.0)
+        0.2, 'px', 'standard deviation of a right vector where the picture has texture, (2) of '
+        '[SLAPSE]', 0.01, 10.0)
     paper_weights: bool = setting(
         False, '-', 'weigh direct to indirect evidence sqrt(2) to 1, (5) of [SLAPSE], instead of '
         'by inverse variance, 2 to 1')
@@ -110,8 +111,8 @@ class DecoderSettings(Checked):
         0.6, '-', 'least share of correspondences that both halves must keep, or the segment '
         'stays whole', 0.0)
     bridge_intra: bool = setting(
-        True, '-', 'search the macroblocks of an I frame that no vectors, or few, join to the '
-        'past')
+        True, '-', 'look at pictures: search the macroblocks of an I frame that no vectors, or '
+        'few, join to the past, and weigh vectors by texture')
     bridge_variance: float = setting(
         1.0, '-', 'variance of a match so found, in units of a motion vector', 0.01, 100.0)
     bridge_minimum: int = setting(

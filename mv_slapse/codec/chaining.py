@@ -51,7 +51,7 @@ class Chainer:
     def is_long(self, pair: Correspondences) -> bool:
         """Tell whether a pair has moved so far that it need not, or must not, be chained."""
         for asked, answer in self._asked:
-            if asked is pair:
+            if asked.x_cur is pair.x_cur:
                 return answer
         self._asked.append((pair, self._moves_far(pair)))
         return self._asked[-1][1]

@@ -7,7 +7,7 @@ from mv_slapse.codec.bridging import can_bridge, is_untrue, search
 from mv_slapse.codec.chaining import Chainer, median_flow
 from mv_slapse.codec.evidence import collect, Evidence, halves
 from mv_slapse.codec.frames import FrameDecoder
-from mv_slapse.codec.merging import average, match_probability, merge
+from mv_slapse.codec.merging import average, match_probability, merge, seen
 from mv_slapse.codec.motion_vectors import FrameVectors
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.prior import MotionPrior
@@ -74,7 +74,7 @@ class CorrespondenceDecoder:
         for pair in pairs:
             self._expect.add(pair)
         self._usual = _supported(pairs[-1]) or self._usual
-        return pairs
+        return [seen(pair, segment) for pair in pairs]
 
     def _merged(self, segment: Segment) -> list[Correspondences]:
         """Merge a segment, in two parts where its motion is too long for direct vectors.
@@ -84,7 +84,9 @@ class CorrespondenceDecoder:
         """
         evidence, settings = collect(segment, self._settings), self._settings
         whole = self._merge(segment, evidence)
-        self._learn(match_probability(evidence, whole, settings))
+        if np.isfinite(p := match_probability(evidence, whole, settings)):
+            right = self._right + LEARNING * (p - self._right)
+            self._right = min(max(right, RIGHT[0]), RIGHT[1])
         late = segment.current.stamp - segment.previous.stamp > settings.max_chain_time * 1e9
         short = not late and len(whole) and median_flow(whole) < settings.split_flow
         if short or not segment.between:
@@ -102,11 +104,6 @@ class CorrespondenceDecoder:
 
     def _merge(self, segment: Segment, evidence: Evidence) -> Correspondences:
         return merge(segment, evidence, self._settings, self._expect, self._right)
-
-    def _learn(self, p: float):
-        """Take in how many vectors of a segment were right; the next segment counts with it."""
-        if np.isfinite(p):
-            self._right = min(max(self._right + LEARNING * (p - self._right), RIGHT[0]), RIGHT[1])
 
     def _bridged(self, segment: Segment) -> Correspondences | None:
         """Search an I frame's macroblocks in the key frame before it; None where that fails."""

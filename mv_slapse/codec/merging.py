@@ -1,5 +1,6 @@
 """A segment's evidence to one vector for each macroblock, section V-A of [SLAPSE]."""
 
+from dataclasses import replace
 from math import sqrt
 
 from mv_slapse.codec.evidence import Evidence, is_ambiguous, of_one_interval
@@ -61,6 +62,19 @@ def average(segment: Segment, evidence: Evidence, settings: DecoderSettings,
         len(segment.between), x_cur=x, x_prev=x + vector,
         sigma=settings.vector_sigma * np.sqrt(variance),
         probability=probability, block=np.full((len(x), 2), MACROBLOCK, np.uint8))
+
+
+def seen(pair: Correspondences, segment: Segment) -> Correspondences:
+    """Return a pair of a segment with the noise of its matches as the pictures show it.
+
+    A vector is as uncertain as its macroblock has little texture, and as what is left of it in the
+    other picture; of a half of a segment one picture is known. See kernels/texture.cpp.
+    """
+    now, before = segment.current, segment.previous
+    return replace(pair, sigma=compiled.match_sigma(
+        now.luma if pair.stamp == now.stamp else None,
+        before.luma if pair.previous_stamp == before.stamp else None,
+        pair.x_cur, pair.x_prev, pair.sigma))
 
 
 def match_probability(evidence: Evidence, merged: Correspondences,

@@ -26,6 +26,7 @@ void bind_motion_prior(kernels::py::module_& module);
 void bind_silhouettes(kernels::py::module_& module);
 void bind_small(kernels::py::module_& module);
 void bind_surfaces(kernels::py::module_& module);
+void bind_texture(kernels::py::module_& module);
 void bind_two_view(kernels::py::module_& module);
 
 PYBIND11_MODULE(mv_slapse_kernels, made) {
@@ -54,5 +55,6 @@ PYBIND11_MODULE(mv_slapse_kernels, made) {
   bind_silhouettes(module);
   bind_small(module);
   bind_surfaces(module);
+  bind_texture(module);
   bind_two_view(module);
 }

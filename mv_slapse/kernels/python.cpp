@@ -32,16 +32,31 @@ bool has_type(const object& array, Type type) {
   return own.is(dtype_of(type)) || own.equal(dtype_of(type));
 }
 
-View view(const object& of) {
-  auto array = pb::reinterpret_borrow<pb::array>(of.ptr());
-  constexpr int good = pb::array::c_style | pb::detail::npy_api::NPY_ARRAY_ALIGNED_;
-  if ((array.flags() & good) != good) array = array.attr("copy")("C");
+namespace {
+
+View view_of(pb::array array, bool good) {
+  if (!good) array = array.attr("copy")("C");
   View out;
   out.data = array.data();
   out.ndim = static_cast<int>(array.ndim());
   out.shape = array.shape();
+  out.row_bytes = out.ndim ? array.strides(0) : 0;
   out.array = object::owned(array.release().ptr());
   return out;
+}
+
+}  // namespace
+
+View view(const object& of) {
+  auto array = pb::reinterpret_borrow<pb::array>(of.ptr());
+  constexpr int good = pb::array::c_style | pb::detail::npy_api::NPY_ARRAY_ALIGNED_;
+  return view_of(array, (array.flags() & good) == good);
+}
+
+View view_of_rows(const object& of) {
+  auto array = pb::reinterpret_borrow<pb::array>(of.ptr());
+  return view_of(array, array.ndim() == 2 && array.strides(0) > 0 &&
+                            array.strides(1) == array.itemsize());
 }
 
 object new_array(Type type, std::initializer_list<ssize_t> shape, void** data) {

@@ -116,11 +116,13 @@ struct View {
   const void* data = nullptr;
   int ndim = 0;
   const ssize_t* shape = nullptr;
+  ssize_t row_bytes = 0;  // from the beginning of one row to that of the next
 };
 
 bool is_array(const object& of);
 bool has_type(const object& array, Type type);
 View view(const object& array);
+View view_of_rows(const object& array);  // of two axes; between its rows there may be other bytes
 object new_array(Type type, std::initializer_list<ssize_t> shape, void** data);  // zeros
 std::string name_of(Type type);
 std::string text(const object& of);

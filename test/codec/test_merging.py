@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import product
 
 import formulas
@@ -6,6 +7,7 @@ from mv_slapse.codec.evidence import Evidence
 from mv_slapse.codec.motion_vectors import FrameVectors
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
 import pytest
@@ -250,3 +252,30 @@ def test_the_share_of_right_vectors_is_measured(rng, share, kind):
     merged = merging.average(segment_of(evidence), evidence, SETTINGS)
     assert merging.match_probability(evidence, merged, SETTINGS) == pytest.approx(
         expected, abs=0.06)
+
+
+def test_a_pair_is_weighed_by_the_pictures_of_its_own_ends(rng):
+    luma = [rng.integers(0, 256, (HEIGHT, WIDTH)).astype(np.uint8) for _ in range(2)]
+    first, last = (FrameVectors(80_000_000 * i, FrameType.P, WIDTH, HEIGHT, luma=picture)
+                   for i, picture in enumerate(luma))
+    segment = Segment(first, last, (), PP)
+    pair = merging.average(segment, lattice(lambda x: x * 0 + (2, 1)), SETTINGS)
+    for ends, shown in (((0, 1), luma), ((0, 0.5), (luma[0], None)), ((0.5, 1), (None, luma[1])),
+                        ((0.3, 0.6), (None, None))):
+        previous, now = (int(80_000_000 * end) for end in ends)
+        found = merging.seen(replace(pair, previous_stamp=previous, stamp=now), segment)
+        expected = compiled.match_sigma(shown[1], shown[0], pair.x_cur, pair.x_prev, pair.sigma)
+        np.testing.assert_array_equal(found.sigma, expected)
+        assert np.any(found.sigma > pair.sigma) == (ends != (0.3, 0.6))
+
+
+def test_what_has_no_texture_counts_for_less(rng):
+    smooth = np.full((HEIGHT, WIDTH), 90, np.uint8)
+    smooth[:, :64] = rng.integers(0, 256, (HEIGHT, 64))
+    first, last = (FrameVectors(80_000_000 * i, FrameType.P, WIDTH, HEIGHT, luma=smooth)
+                   for i in range(2))
+    segment = Segment(first, last, (), PP)
+    pair = merging.average(segment, lattice(np.zeros_like), SETTINGS)
+    found, shows = merging.seen(pair, segment).sigma, pair.x_cur[:, 0] < 64
+    np.testing.assert_allclose(found[shows], pair.sigma[shows], rtol=0.01)
+    assert np.all(found[pair.x_cur[:, 0] > 80] > 0.69)
