@@ -28,6 +28,7 @@ BELOW = {
     'blas': set(),
     'errors': set(),
     'changed': set(),
+    'heap': set(),
     'records': set(),
     'config': {'errors'},
     'kernels': {'errors'},
@@ -53,7 +54,7 @@ BELOW = {
                 'plane_messages', 'planner_fields', 'step_diagnostics', 'video_messages',
                 'view_fields'},
     'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'drawing', 'fields', 'field_values',
-              'frame_change', 'known_map', 'level', 'message_checks', 'plane_messages',
+              'frame_change', 'heap', 'known_map', 'level', 'message_checks', 'plane_messages',
               'planner_fields', 'states', 'video_messages', 'view_fields'},
 }
 

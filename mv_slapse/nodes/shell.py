@@ -8,6 +8,7 @@ import sys
 import time
 from typing import Any
 
+from mv_slapse import heap
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.message_checks import InvalidMessage
 from mv_slapse.nodes import parameters
@@ -28,6 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 
 POLL = 0.5  # [s] at most between a signal and its effect, beside the callback that runs
 END_TIME = 5.0  # [s] after which a process that cannot end is ended, as ros2 launch waits as long
+GIVE_BACK = 60.0  # [s] after which free pages go back to the system, within 3 to 11 ms
 DRAINING = 0.1  # [s] between two looks whether what is held back can be passed on
 SPARING = 5.0  # [s] between two lines of one kind in the log
 RCLError = rclpy_implementation.RCLError
@@ -201,6 +203,7 @@ def run(node_type: Callable[[], Node], args: list[str] | None = None) -> int:
     if code is not None:
         return code
     node, executor, stop = None, None, _Stop()
+    heap.give_back_large_blocks()
     try:
         if not rclpy.ok():
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -209,6 +212,7 @@ def run(node_type: Callable[[], Node], args: list[str] | None = None) -> int:
             place.destroy_node()
         # What there is by now stays: a full garbage collection would look through it for 30 ms.
         gc.freeze()
+        every(node, GIVE_BACK, heap.give_back_free_pages)
         executor = SupervisedExecutor(node.escaped)
         executor.add_node(node)
         while not stop.asked and rclpy.ok():

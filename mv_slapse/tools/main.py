@@ -213,9 +213,9 @@ def _add_output_style(command: argparse.ArgumentParser):
 
 
 def _run(args: argparse.Namespace) -> int:
+    from mv_slapse.heap import give_back_large_blocks
     from mv_slapse.storage.camera_info import read_camera
     from mv_slapse.tools import run, run_summary
-    from mv_slapse.tools.heap import give_back_large_blocks
     from mv_slapse.tools.history import History
     from mv_slapse.tools.inputs import read_speeds
     from mv_slapse.tools.progress import progress_bar

@@ -12,6 +12,7 @@ import platform
 import time
 from typing import Any, NamedTuple
 
+from mv_slapse import heap
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.config import Settings
 from mv_slapse.errors import UnusableInput, UsageError
@@ -27,7 +28,6 @@ from mv_slapse.records import (
     WITH_POSE,
 )
 from mv_slapse.storage.results import ResultsWriter
-from mv_slapse.tools import heap
 from mv_slapse.tools.history import History
 from mv_slapse.tools.inputs import open_input, VideoInput
 from mv_slapse.tools.placing import Placing

@@ -37,7 +37,7 @@ def test_a_group_names_the_nodes_that_have_it():
 
 def test_a_row_gives_default_unit_bounds_and_meaning():
     default, unit, bounds, live, meaning = rows()['decoder.vector_sigma']
-    assert (default, unit, bounds) == ('`0.25`', 'px', '0.01 … 10.0')
+    assert (default, unit, bounds) == ('`0.2`', 'px', '0.01 … 10.0')
     assert (live, rows()['source'][3]) == ('live', '')
     assert meaning.startswith('standard deviation of a right vector')
     assert rows()['extraction.min_macroblocks'][2] == '≥ 4'

@@ -9,7 +9,7 @@ import pytest
 # Blocks of a megabyte that are freed, then others with something small behind each that stays.
 PROGRAM = """
 import ctypes, sys
-from mv_slapse.tools.heap import give_back_large_blocks
+from mv_slapse.heap import give_back_large_blocks
 libc = ctypes.CDLL(None)
 libc.malloc.restype = ctypes.c_void_p
 libc.free.argtypes = [ctypes.c_void_p]
@@ -50,7 +50,7 @@ def test_large_blocks_go_back_to_the_system():
 # Pages that are free between blocks that stay.
 BETWEEN = """
 import ctypes, sys
-from mv_slapse.tools.heap import give_back_free_pages
+from mv_slapse.heap import give_back_free_pages
 def held():
     return int(open('/proc/self/statm').read().split()[1]) * 4096 / 1e6
 libc = ctypes.CDLL(None)
