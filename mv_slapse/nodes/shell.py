@@ -29,7 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 
 POLL = 0.5  # [s] at most between a signal and its effect, beside the callback that runs
 END_TIME = 5.0  # [s] after which a process that cannot end is ended, as ros2 launch waits as long
-GIVE_BACK = 60.0  # [s] after which free pages go back to the system, within 3 to 11 ms
+GIVE_BACK = 20.0  # [s] after which free pages go back to the system, within 3 to 11 ms
 DRAINING = 0.1  # [s] between two looks whether what is held back can be passed on
 SPARING = 5.0  # [s] between two lines of one kind in the log
 RCLError = rclpy_implementation.RCLError
