@@ -3,6 +3,7 @@
 from collections import deque
 
 import av
+from av.sidedata.sidedata import SideDataContainer
 from mv_slapse.codec import bitstream, places
 from mv_slapse.codec.motion_vectors import columns, FrameVectors
 from mv_slapse.codec.packet import Packet
@@ -137,7 +138,8 @@ class FrameDecoder:
         place = self._continuity.place(picture.pts)
         references = place.references or (self.references if kind is not FrameType.I else 1)
         damage = self._continuity.damage(picture.pts, stamp)
-        exported = picture.side_data.get('MOTION_VECTORS')
+        # What picture.side_data gives holds the picture, and is held by it: none would be freed.
+        exported = SideDataContainer(picture).get('MOTION_VECTORS')
         if kind is FrameType.B and self._context.name in ZERO_IN_B:
             exported = None
         if getattr(picture, 'is_corrupt', False):

@@ -26,8 +26,7 @@ class MotionPrior:
         if not len(pair):
             return
         seconds = (pair.stamp - pair.previous_stamp) * 1e-9
-        shape = grid_shape(pair.width, pair.height)[::-1]
-        before = self._velocity
+        before, shape = self._velocity, grid_shape(pair.width, pair.height)[::-1]
         if before is not None and before.shape[:2] != shape:
             before = None
         self._velocity = compiled.prior_update((pair.x_cur, pair.x_prev, pair.probability),

@@ -1,5 +1,6 @@
 from dataclasses import replace
 from fractions import Fraction
+import gc
 from io import BytesIO
 from itertools import pairwise
 
@@ -50,6 +51,26 @@ def test_after_lost_packets_pictures_have_their_own_stamps_again(rng):
         stamps = [frame.stamp for frame in frames if frame.stamp >= packets[first + 18].stamp]
         assert stamps == sorted(set(stamps))
         assert stamps[-1] == 59 * 40_000_000
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_pictures_are_freed_without_a_garbage_collection(encoding):
+    packets = list(encode(pictures.sliding(np.random.default_rng(0), 14, (3, -2)), 25, encoding))
+    gc.collect()
+    gc.disable()
+    try:
+        frames = decoded(packets, with_luma=True)
+        # Pixels of key frames are kept as long as they are looked at.
+        kept = sum(frame.luma is not None for frame in frames)
+        assert (len(frames), pictures_alive()) == (14, kept)
+        del frames
+        assert pictures_alive() == 0
+    finally:
+        gc.enable()
+
+
+def pictures_alive():
+    return sum(isinstance(thing, av.VideoFrame) for thing in gc.get_objects())
 
 
 @pytest.mark.parametrize('encoding', ENCODINGS)
