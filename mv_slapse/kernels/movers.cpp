@@ -435,13 +435,18 @@ py::tuple remembered(const py::object& memory, std::int64_t stamp, std::int64_t 
                         to_left.array(), to_id.array(), to_seen.array());
 }
 
-// The mean of the upper half of known values, 0 where less than a third of `of` are known.
-double better_half(std::vector<double> known, std::size_t of) {
+// What a region of `of` blocks was, by the known values of some: the mean of their upper half, or of
+// all where less than a `part` is above zero, for most of it stood still then. 0 where less than a
+// third is known.
+double value_before(std::vector<double> known, std::size_t of, double part) {
   if (3 * known.size() < of) return 0;
   std::sort(known.begin(), known.end());
+  const auto above = known.end() - std::upper_bound(known.begin(), known.end(), 0.0);
+  const bool stood = static_cast<double>(above) < part * static_cast<double>(known.size());
+  const std::size_t first = stood ? 0 : known.size() / 2;
   double sum = 0;
-  for (auto i = known.size() / 2; i < known.size(); ++i) sum += known[i];
-  return sum / static_cast<double>(known.size() - known.size() / 2);
+  for (auto i = first; i < known.size(); ++i) sum += known[i];
+  return sum / static_cast<double>(known.size() - first);
 }
 
 // The value that most are, the lower one of two, and how often it occurs.
@@ -456,7 +461,7 @@ std::pair<std::int64_t, std::size_t> majority(std::vector<std::int64_t> values) 
 }
 
 struct HistoryRules {
-  double fading, same_plane;
+  double fading, part, same_plane;
 };
 
 // Sums the scores of regions over pairs and tells whom each continues: total and departed score
@@ -476,7 +481,8 @@ py::tuple histories(const py::object& regions, const py::object& scores_, const 
       left(kernel, "left", before.attr("left"), {n});
   const In<std::int64_t> id(kernel, "id", before.attr("id"), {n});
   const In<std::int32_t> plane(kernel, "plane_id", plane_id, {n});
-  const HistoryRules rules{number(constants, "fading"), number(constants, "same_plane")};
+  const HistoryRules rules{number(constants, "fading"), number(constants, "part"),
+                           number(constants, "same_plane")};
   Out<double> total({R}), gone({R}), to_score({n}), to_left({n});
   Out<std::int64_t> known({R});
   for (py::ssize_t i = 0; i < n; ++i) {
@@ -495,8 +501,8 @@ py::tuple histories(const py::object& regions, const py::object& scores_, const 
       planes.push_back(plane[i]);
     }
     const auto size = static_cast<std::size_t>(end - first[r]);
-    total[r] = now[r] + rules.fading * better_half(scores, size);
-    gone[r] = std::max(leaves[r] + rules.fading * better_half(departures, size), 0.0);
+    total[r] = now[r] + rules.fading * value_before(scores, size, rules.part);
+    gone[r] = std::max(leaves[r] + rules.fading * value_before(departures, size, rules.part), 0.0);
     known[r] = 3 * ids.size() >= size ? majority(ids).first : -1;
     if (known[r] < 0) {
       // A parked car that starts keeps its plane's id.

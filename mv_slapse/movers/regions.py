@@ -45,6 +45,7 @@ class Rules(NamedTuple):
     resting: float = 0.75  # px, or rests where the camera stands
     receding: float = 0.5  # share of its depth by which a thing may at most go away in a pair
     fading: float = FADING
+    part: float = 0.4  # share of a region that scored before, or else most of it stood still
     same_plane: float = 0.7  # share of a region and of a plane in common if they are one
     macroblock: float = MACROBLOCK
     least_sigma: float = 0.25  # px, of a vector on a small surface, whatever the pair says

@@ -92,8 +92,7 @@ def tiles(box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def is_cut(box: np.ndarray, view: View) -> np.ndarray:
     """Return whether the picture's edge cuts a box (4,) off across and down, (2,) bool."""
     (x, y, width, height), (across, down), half = box.tolist(), view.size.tolist(), MACROBLOCK / 2
-    return np.array([x < half or x + width > across - half,
-                     y < half or y + height > down - half])
+    return np.array([x < half or x + width > across - half, y < half or y + height > down - half])
 
 
 def detections(extraction: Extraction, view: View, settings: ObstacleSettings) -> list[Detection]:

@@ -177,10 +177,11 @@ def test_histories_follow_the_vectors_as_by_the_formula(rng):
     np.testing.assert_array_equal(found.id, id_)
 
 
-def test_regions_sum_their_better_halves_and_keep_the_id_of_most(scene, rng):
+@pytest.mark.parametrize('middle', [-0.25, 0.5])
+def test_regions_sum_their_better_halves_and_keep_the_id_of_most(scene, rng, middle):
     pair, _, _, alike = scene
     n, size = len(pair.x), len(alike.first)
-    given = np.where(rng.uniform(size=n) < 0.4, rng.normal(size=n), np.nan)
+    given = np.where(rng.uniform(size=n) < 0.4, rng.normal(middle, 1, n), np.nan)
     before = History(given, -given, np.where(rng.uniform(size=n) < 0.4, rng.integers(3, 5, n), -1))
     now, leaves = rng.normal(size=(2, size))
     plane = pair.plane_id
@@ -189,8 +190,9 @@ def test_regions_sum_their_better_halves_and_keep_the_id_of_most(scene, rng):
     for i, member in enumerate(reference.split(alike.members, alike.first)):
         known = np.sort(given[member][np.isfinite(given[member])])
         enough = 3 * len(known) >= len(member)
-        half = known[len(known) // 2:].mean() if enough else 0.0
-        assert told.total[i] == pytest.approx(now[i] + 0.85 * half)
+        stood = np.sum(known > 0) < 0.4 * len(known)
+        was = known[0 if stood else len(known) // 2:].mean() if enough else 0.0
+        assert told.total[i] == pytest.approx(now[i] + 0.85 * was)
         np.testing.assert_array_equal(told.score[member], told.total[i])
         ids = before.id[member][before.id[member] >= 0]
         if 3 * len(ids) >= len(member):
@@ -198,6 +200,22 @@ def test_regions_sum_their_better_halves_and_keep_the_id_of_most(scene, rng):
     outside = np.setdiff1d(np.arange(n), alike.members)
     kept = np.where(alike.ground_like, 0.0, 0.85 * np.nan_to_num(given))
     np.testing.assert_allclose(told.score[outside], kept[outside])
+
+
+@pytest.mark.parametrize(('share', 'expected'), [(0.25, 15.0), (0.35, 21.0), (0.45, 54.0),
+                                                (0.6, 60.0)])
+def test_a_wall_does_not_move_as_some_of_its_blocks_were_a_car_before_it(scene, share, expected):
+    pair, _, _, alike = scene
+    n, size = len(pair.x), len(alike.first)
+    largest = np.argmax(alike.size)
+    member = alike.members[alike.rows(largest)]
+    assert len(member) >= 20
+    score = np.zeros(n)
+    score[member[:round(share * len(member))]] = 60.0
+    told = regions._Scores(*compiled.histories(
+        alike, np.zeros(size), np.zeros(size), History(score, 0 * score, np.full(n, -1)),
+        np.full(n, -1, np.int32), -1, regions.RULES))
+    assert told.total[largest] == pytest.approx(0.85 * expected, rel=0.12)
 
 
 def test_departures_are_as_by_the_formula(rng):
