@@ -287,8 +287,8 @@ RULES = (
          {SURFACES + 'ground:survey': _without_road}),
     Rule('score over pairs', 'a region\'s score and name pass from pair to pair',
          {MOVERS + 'identity:Memory.inherited': gives(_without_past)}),
-    Rule('most of it stood', 'where little of a region scored before all of it counts, not the half '
-         'that scored best', {REGIONS + 'RULES': constants(part=0.0)}),
+    Rule('most of it stood', 'where little of a region scored before all of it counts, not its '
+         'better half', {REGIONS + 'RULES': constants(part=0.0)}),
     Rule('memory without vectors', 'a block\'s history goes on where it has no vector',
          {MOVERS + 'identity:LIFETIME': value(1)}),
     Rule('given up later', 'a mover is given up at half the score at which it was found',
