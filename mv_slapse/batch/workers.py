@@ -130,10 +130,14 @@ class Pool:
             Where the scheduler is lost.
         """
         while self._tags:
-            futures = self._ended.next_batch(block=True)
-            if any(future.status not in ('finished', 'error') for future in futures):
+            batch = self._ended.next_batch(block=True)
+            futures = [future for future in batch if future.done()]
+            # A worker that dies takes the values along that nobody has fetched: they come again.
+            self._ended.update(set(batch).difference(futures))
+            values = self._values(futures)
+            if any(future.cancelled() for future in futures):
                 raise self._lost()
-            for future, value in zip(futures, self._values(futures), strict=True):
+            for future, value in zip(futures, values, strict=True):
                 future.release()
                 yield self._tags.pop(future), value
 

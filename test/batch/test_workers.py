@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import signal
 from threading import Thread
 import time
 
@@ -55,6 +56,25 @@ def test_a_worker_that_dies_while_it_starts_is_replaced(monkeypatch):
         pool.submit('here', abs, -3)
         assert list(pool.results()) == [('here', 3)]
     assert killed
+
+
+def test_a_value_that_dies_with_its_worker_is_computed_again(tmp_path):
+    def number() -> int:
+        """Return which run this is; the later ones take a while."""
+        ran = len(list(tmp_path.iterdir()))
+        (tmp_path / str(os.getpid())).touch()
+        time.sleep(ran)
+        return ran
+
+    with open_pool(Workers(1)) as pool:
+        pool.submit('here', number)
+        (future,) = pool._tags
+        while not pool._ended.has_ready():
+            time.sleep(0.01)
+        os.kill(int(next(tmp_path.iterdir()).name), signal.SIGKILL)
+        while future.done():
+            time.sleep(0.01)
+        assert list(pool.results()) == [('here', 1)]
 
 
 def test_a_task_has_one_thread(pool):
