@@ -233,7 +233,8 @@ def _summary(measured: Rows) -> str:
     cost = _values(measured, 'cpu_ms')
     if cost:
         lines.append(f'A picture costs {statistics.median(cost):.0f} ms of CPU in the median, '
-                     f'{max(cost):.0f} ms in the worst row.')
+                     f'{max(cost):.0f} ms in the worst row, beside what else ran then; '
+                     '`docs/benchmarks.md` has ratios that hold elsewhere.')
     failed = sum('error' in figures for figures in measured.values())
     lines.append(f'{failed} of {len(measured)} rows could not be measured.')
     return '\n'.join(f'* {line}' for line in lines) + '\n'
