@@ -20,6 +20,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 WHAT_IS_LEFT = ('free the disk and run again; what was written until then can be read with '
                 'mv_slapse run')
+METADATA = 'metadata.yaml'  # of a rosbag2 directory
 FOREVER = QosTime(9223372036, 854775807)
 
 
@@ -100,7 +101,9 @@ class McapFile(BagWriter):
         """Make the folder; one that a crash left behind gives way."""
         self._file = Path(path)
         folder = self._file.with_suffix('')
-        if (folder / self._file.name).exists():
+        # A run may be killed before the file is there, or when it has left for its place.
+        own = {self._file.name, METADATA}
+        if folder.is_dir() and all(path.name in own for path in folder.iterdir()):
             shutil.rmtree(folder)
         super().__init__(folder, compressed=True)
 

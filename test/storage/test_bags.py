@@ -132,6 +132,24 @@ def test_what_a_crash_left_behind_gives_way(tmp_path):
     assert BagReader(tmp_path / 'a.mcap').topics == {'/camera/image/ffmpeg': FFMPEG_PACKET}
 
 
+@pytest.mark.parametrize('left', [(), ('metadata.yaml',)], ids=['before', 'after'])
+def test_a_crash_may_leave_a_folder_without_the_file(tmp_path, left):
+    (tmp_path / 'a').mkdir()  # killed before the file was made, or once it was in its place
+    for name in left:
+        (tmp_path / 'a' / name).touch()
+    with McapFile(tmp_path / 'a.mcap') as writer:
+        fill(writer)
+    assert list(tmp_path.iterdir()) == [tmp_path / 'a.mcap']
+
+
+def test_a_folder_that_holds_other_things_stays(tmp_path):
+    (tmp_path / 'a').mkdir()
+    (tmp_path / 'a' / 'mine.txt').touch()
+    with pytest.raises(UsageError, match='exists already'):
+        McapFile(tmp_path / 'a.mcap')
+    assert (tmp_path / 'a' / 'mine.txt').exists()
+
+
 def test_the_same_messages_make_the_same_file(tmp_path):
     for name in ('a', 'b'):
         (tmp_path / name).mkdir()
