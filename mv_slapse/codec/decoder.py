@@ -12,9 +12,10 @@ from mv_slapse.codec.motion_vectors import FrameVectors
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.prior import MotionPrior
 from mv_slapse.codec.segments import Segment, SegmentBuilder
+from mv_slapse.codec.strips import StripCutter
 from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.records import Correspondences, SegmentKind
+from mv_slapse.records import Correspondences, FrameType, SegmentKind
 import numpy as np
 
 LEARNING = 0.1  # share of the newest segment in p: what ten segments tell is not of one picture
@@ -35,7 +36,8 @@ class CorrespondenceDecoder:
         """
         self._settings, self._on_picture = settings, on_picture
         self._chainer = Chainer(settings, camera)
-        self._frames = FrameDecoder(with_luma=settings.bridge_intra)
+        self._strips = StripCutter(settings, camera)
+        self._frames = FrameDecoder(settings.bridge_intra, self._strips.is_on)
         self._segments = SegmentBuilder()
         self._expect = MotionPrior()
         self._usual = 0
@@ -50,14 +52,17 @@ class CorrespondenceDecoder:
 
     def flush(self) -> list[Correspondences]:
         """Return what is still held back at the end of the stream."""
-        return self._join(self._frames.flush()) + self._chainer.flush()
+        return self._join(self._frames.flush()) + [
+            self._strips.cut(pair) for pair in self._chainer.flush()]
 
     def _join(self, frames: list[FrameVectors]) -> list[Correspondences]:
         for frame in frames:
             if frame.luma is not None:
-                self._on_picture(frame.stamp, frame.luma)
+                self._strips.keep(frame.stamp, frame.luma)
+                if frame.frame_type is not FrameType.B:
+                    self._on_picture(frame.stamp, frame.luma)
         segments = [self._segments.add(frame) for frame in frames]
-        return [ready for segment in segments if segment
+        return [self._strips.cut(ready) for segment in segments if segment
                 for pair in self._pairs(segment) for ready in self._chainer.add(pair)]
 
     def _pairs(self, segment: Segment) -> list[Correspondences]:

@@ -37,9 +37,9 @@ def codec_of(packet: Packet) -> str:
 class FrameDecoder:
     """Decodes packets, one after another, and reads the vectors of each picture."""
 
-    def __init__(self, with_luma: bool):
-        """Open nothing until the first packet tells the codec."""
-        self._with_luma = with_luma
+    def __init__(self, with_luma: bool, of_all: bool = False):
+        """Open nothing until the first packet tells the codec; luma of key pictures or of all."""
+        self._with_luma, self._of_all = with_luma, with_luma and of_all
         self._context = None
         self._headers = bitstream.Headers()
         self._places = places.Places()
@@ -97,12 +97,12 @@ class FrameDecoder:
             self._context.extradata = packet.extradata
             if codec == 'h264':
                 self._headers.read_parameters(bitstream.parameter_sets(packet.extradata))
-        # Frame threads corrupt exported vectors; the loop filter does not touch them. The picture
-        # of a B frame that no other refers to ('noref') is not looked at.
+        # Frame threads corrupt exported vectors; the loop filter does not touch them. 'noref' is a
+        # B frame that no other refers to.
         self._context.thread_type = 'NONE'
         self._context.options = {
             'flags2': '+export_mvs', 'skip_loop_filter': 'all', 'max_pixels': str(MAX_PIXELS),
-            'skip_idct': 'noref' if self._with_luma else 'all'}
+            'skip_idct': 'none' if self._of_all else 'noref' if self._with_luma else 'all'}
 
     def _wrap(self, packet: Packet) -> av.Packet:
         """Give the packet a number: FFmpeg carries it through reordering, whatever the stamp."""
@@ -148,10 +148,10 @@ class FrameDecoder:
             else:
                 damage = damage or 'the decoder calls the picture corrupt'
         table = columns(None if exported is None else np.frombuffer(exported, np.uint8))
-        luma = _luma(picture) if self._with_luma and kind is not FrameType.B else None
+        is_kept = self._of_all or self._with_luma and kind is not FrameType.B
         return FrameVectors(stamp, kind, picture.width, picture.height, references=references,
-                            is_predicted=self._context.name == 'h264', damage=damage, luma=luma,
-                            **table)
+                            is_predicted=self._context.name == 'h264', damage=damage,
+                            luma=_luma(picture) if is_kept else None, **table)
 
 
 class _Stamps:

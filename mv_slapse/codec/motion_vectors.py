@@ -30,7 +30,7 @@ class FrameVectors:
     # whether vectors are coded against the median of those around, as in H.264
     is_predicted: bool = False
     damage: str = ''  # why the vectors cannot be joined to the pictures before, else empty
-    # (height, width) uint8: grey picture, kept only where a dead segment may have to be bridged
+    # (height, width) uint8: grey picture, kept only where pixels may be asked
     luma: np.ndarray | None = None
 
     def __len__(self) -> int:

@@ -1,6 +1,6 @@
 """The motion field of the pairs before, as the expectation for the next one."""
 
-from mv_slapse.geometry.blocks import grid_shape, macroblock_of
+from mv_slapse.geometry.blocks import macroblock_of
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Correspondences
 import numpy as np
@@ -26,11 +26,8 @@ class MotionPrior:
         if not len(pair):
             return
         seconds = (pair.stamp - pair.previous_stamp) * 1e-9
-        before, shape = self._velocity, grid_shape(pair.width, pair.height)[::-1]
-        if before is not None and before.shape[:2] != shape:
-            before = None
         self._velocity = compiled.prior_update((pair.x_cur, pair.x_prev, pair.probability),
-                                               before, pair.width, pair.height, seconds)
+                                               self._velocity, pair.width, pair.height, seconds)
 
     def reset(self):
         """Forget, after a cut or a change of size."""

@@ -309,10 +309,11 @@ py::tuple region_outlines(const py::object& regions, const py::object& K_,
     auto sorted = bottom;
     std::sort(sorted.begin(), sorted.end());
     const double edge = sorted[std::max<std::ptrdiff_t>(end - begin - 2, 0)];
-    double across = 0, lowest = 0, lower = 0;
+    double across = 0, lowest = 0, lower = 0, tall = 0;
     for (auto i = begin; i < end; ++i) {
       if (bottom[i - begin] >= edge - 0.5) {
         across += x(i, 0);
+        tall += block(i, 1);
         lowest += 1;
       }
       if (bottom[i - begin] > edge - foot_height) {
@@ -322,7 +323,7 @@ py::tuple region_outlines(const py::object& regions, const py::object& K_,
     }
     near[r] /= lower;
     foot(r, 0) = across / lowest;
-    foot(r, 1) = edge - (0.5 - covered) * macroblock;
+    foot(r, 1) = edge - (0.5 - covered) * tall / lowest;
     const Vec3 ray = K_inverse * Vec3{foot(r, 0), foot(r, 1), 1};
     drop[r] = below_horizon(ray, level, K[4]);
     under[r] = -dot(ray, ground);

@@ -1,0 +1,265 @@
+// Macroblocks on the way ahead, cut into strips whose vectors two pictures tell: Gauss-Newton steps on
+// what the brightness of a strip, less its mean, differs by (Lucas and Kanade, "An iterative image
+// registration technique with an application to stereo vision", IJCAI 1981). codec/strips.py.
+
+#include "blocks.hpp"
+#include "lanes.hpp"
+#include "picture.hpp"
+
+namespace kernels {
+namespace {
+
+constexpr int WIDTH = MACROBLOCK, HEIGHT = 4;  // px, of a strip
+constexpr int STRIPS = MACROBLOCK / HEIGHT, PIXELS = WIDTH * HEIGHT;
+constexpr int STEPS = 3;        // from a vector that is right to half a pixel
+constexpr float NOISE = 3;      // grey levels, by which a picture differs from its match at least
+constexpr float SHARE = 15;     // of squared residuals: side by side they are alike, see texture.cpp
+constexpr float OUTWARDS = 1;   // px, how far from where the search begins a right vector may lie
+constexpr float SHARP = 0.3f;   // px, sigma up to which a strip tells more than its macroblock
+constexpr float NEAR = 8;       // px around the expansion point, where no direction is outwards
+constexpr py::ssize_t ENOUGH = 300;  // vectors that tell that point
+constexpr int ROUNDS = 5;            // of weights, which sharpen fourfold each
+constexpr float LEAST = 1;           // px, of a vector that has a direction
+constexpr float ERROR = 0.5f;        // px, of a vector across its direction
+constexpr float BESIDE = 4;          // px, by which vectors of what stands still pass the point
+constexpr float ROUND = 0.01f;       // smallest ratio of eigenvalues at which they meet in a point
+
+// The point (2,) [px] that most vectors lead away from, or to: robust least squares on how far each
+// passes by it. None where they do not meet within the picture, as while the camera turns.
+py::object expansion(const py::object& places, const py::object& matches,
+                     const py::object& probabilities, int width, int height) {
+  const char* name = "expansion";
+  const In<float> x_cur(name, "x_cur", places, {ANY, 2}, Check::finite);
+  const In<float> x_prev(name, "x_prev", matches, {x_cur.size(), 2}, Check::finite);
+  const In<float> probability(name, "probability", probabilities, {x_cur.size()}, Check::finite);
+  const float least = least_supported(probability);
+  const py::ssize_t every = std::max<py::ssize_t>(x_cur.size() / ENOUGH, 1);
+  Vec2 point{0.5f * static_cast<float>(width - 1), 0.5f * static_cast<float>(height - 1)};
+  float scale = static_cast<float>(width);
+  for (int round = 0; round < ROUNDS; ++round) {
+    double xx = 0, xy = 0, yy = 0, bx = 0, by = 0;
+    for (py::ssize_t i = 0; i < x_cur.size(); i += every) {
+      const Vec2 x = at(x_cur, i), vector = at(x_prev, i) - x, off = x - point;
+      const float far = length(vector);
+      if (probability[i] < least || far < LEAST) continue;
+      const Vec2 across{-vector.y / far, vector.x / far};
+      const float passes = across.x * off.x + across.y * off.y;
+      const float sigma = std::max(ERROR * length(off) / far, BESIDE);
+      const float ratio = passes / (scale + sigma), kernel = 1 + ratio * ratio;
+      const double weight = 1 / (kernel * kernel * sigma * sigma);
+      xx += weight * across.x * across.x;
+      xy += weight * across.x * across.y;
+      yy += weight * across.y * across.y;
+      bx += weight * across.x * passes;
+      by += weight * across.y * passes;
+    }
+    const double determinant = xx * yy - xy * xy;
+    if (!(determinant > ROUND * (xx + yy) * (xx + yy))) return py::none();
+    point = point + Vec2{static_cast<float>((yy * bx - xy * by) / determinant),
+                         static_cast<float>((xx * by - xy * bx) / determinant)};
+    scale = std::max(scale / 4, BESIDE);
+  }
+  if (!(point.x >= 0 && point.x < width && point.y >= 0 && point.y < height)) return py::none();
+  Out<double> out({2});
+  out[0] = point.x;
+  out[1] = point.y;
+  return out.array();
+}
+
+// Values of a strip, a row after another; sums go down the columns first, so that they are the same
+// in registers of any width.
+struct Patch {
+  float value[PIXELS];
+};
+
+KERNELS_INLINE float sum(const float (&column)[WIDTH]) {
+  float out = 0;
+  for (int i = 0; i < WIDTH; ++i) out += column[i];
+  return out;
+}
+
+KERNELS_INLINE float product(const Patch& a, const Patch& b) {
+  float column[WIDTH]{};
+  for (int j = 0; j < HEIGHT; ++j)
+    for (int i = 0; i < WIDTH; ++i)
+      column[i] += a.value[j * WIDTH + i] * b.value[j * WIDTH + i];
+  return sum(column);
+}
+
+KERNELS_INLINE void take_mean_off(Patch& patch) {
+  float column[WIDTH]{};
+  for (int j = 0; j < HEIGHT; ++j)
+    for (int i = 0; i < WIDTH; ++i) column[i] += patch.value[j * WIDTH + i];
+  const float mean = sum(column) / PIXELS;
+  for (int k = 0; k < PIXELS; ++k) patch.value[k] -= mean;
+}
+
+// What a strip differs by, less the mean, from that of a picture whose first pixel lies at x, between
+// pixels; false outside.
+KERNELS_INLINE bool compare(const Picture& picture, Vec2 x, const Patch& strip, Patch& out) {
+  const int left = floor_of(x.x), top = floor_of(x.y);
+  if (left < 0 || top < 0 || left + WIDTH >= picture.width || top + HEIGHT >= picture.height)
+    return false;
+  const float a = x.x - static_cast<float>(left), b = x.y - static_cast<float>(top);
+  for (int j = 0; j < HEIGHT; ++j) {
+    const std::uint8_t *upper = picture.row(top + j) + left, *lower = picture.row(top + j + 1) + left;
+    for (int i = 0; i < WIDTH; ++i) {
+      const float one = upper[i], next = upper[i + 1], below = lower[i], last = lower[i + 1];
+      const float over = one + a * (next - one), under = below + a * (last - below);
+      out.value[j * WIDTH + i] = strip.value[j * WIDTH + i] - (over + b * (under - over));
+    }
+  }
+  take_mean_off(out);
+  return true;
+}
+
+struct Symmetric {  // of two rows and columns
+  float xx, xy, yy;
+};
+KERNELS_INLINE Symmetric operator+(Symmetric a, Symmetric b) {
+  return {a.xx + b.xx, a.xy + b.xy, a.yy + b.yy};
+}
+KERNELS_INLINE Symmetric operator*(float s, Symmetric a) { return {s * a.xx, s * a.xy, s * a.yy}; }
+KERNELS_INLINE Vec2 operator*(Symmetric a, Vec2 x) {
+  return {a.xx * x.x + a.xy * x.y, a.xy * x.x + a.yy * x.y};
+}
+KERNELS_INLINE Vec2 solve(Symmetric a, Vec2 b) {
+  const float determinant = a.xx * a.yy - a.xy * a.xy;
+  return {(a.yy * b.x - a.xy * b.y) / determinant, (a.xx * b.y - a.xy * b.x) / determinant};
+}
+
+// Information of where the search begins: along the way out from the expansion point a vector is not
+// known so well as across it, where what stands still and what drives ahead have none.
+Symmetric beforehand(Vec2 off, float across) {
+  const float away = length(off), out = 1 / (OUTWARDS * OUTWARDS), side = 1 / (across * across);
+  if (away < NEAR) return {out, 0, out};
+  const Vec2 n = (1 / away) * off;
+  return {out * n.x * n.x + side * n.y * n.y, (out - side) * n.x * n.y,
+          out * n.y * n.y + side * n.x * n.x};
+}
+
+struct Strip {
+  Vec2 x, vector;
+  float variance;
+};
+
+// The vector of the strip whose first pixel lies at (left, top), from the best of some; false where
+// it leaves one of the pictures.
+KERNELS_WIDE bool find(const Picture& now, const Picture& then, int left, int top,
+                       const Symmetric& known, const std::vector<Vec2>& starts, Strip& out) {
+  if (left < 1 || top < 1 || left + WIDTH >= now.width || top + HEIGHT >= now.height) return false;
+  Patch strip, by_x, by_y, apart;
+  for (int j = 0; j < HEIGHT; ++j) {
+    const std::uint8_t *row = now.row(top + j) + left, *above = now.row(top + j - 1) + left,
+                       *below = now.row(top + j + 1) + left;
+    for (int i = 0; i < WIDTH; ++i) {
+      strip.value[j * WIDTH + i] = row[i];
+      by_x.value[j * WIDTH + i] = 0.5f * static_cast<float>(row[i + 1] - row[i - 1]);
+      by_y.value[j * WIDTH + i] = 0.5f * static_cast<float>(below[i] - above[i]);
+    }
+  }
+  take_mean_off(by_x);
+  take_mean_off(by_y);
+  const Vec2 corner{static_cast<float>(left), static_cast<float>(top)};
+  Vec2 start{};
+  float best = INFINITY;
+  for (const Vec2& each : starts) {
+    if (!compare(then, corner + each, strip, apart)) continue;
+    const float misfit = product(apart, apart);
+    if (misfit < best) {
+      best = misfit;
+      start = each;
+    }
+  }
+  if (!std::isfinite(best)) return false;
+  const Symmetric texture{product(by_x, by_x), product(by_x, by_y), product(by_y, by_y)};
+  Vec2 vector = start;
+  for (int step = 0; step < STEPS; ++step) {
+    if (!compare(then, corner + vector, strip, apart)) return false;
+    constexpr float sure = 1 / (NOISE * NOISE);
+    const Vec2 slope = sure * Vec2{product(by_x, apart), product(by_y, apart)};
+    vector = vector + solve(sure * texture + known, slope - known * (vector - start));
+  }
+  if (!compare(then, corner + vector, strip, apart)) return false;
+  const float noise = NOISE * NOISE + SHARE * product(apart, apart) / PIXELS;
+  const Symmetric told = 1 / noise * texture + known;
+  const float half = 0.5f * (told.xx - told.yy);
+  const float least = 0.5f * (told.xx + told.yy) - std::sqrt(half * half + told.xy * told.xy);
+  const Vec2 middle{0.5f * (WIDTH - 1), 0.5f * (HEIGHT - 1)};
+  out = {corner + middle, vector, 1 / least};
+  return true;
+}
+
+struct Columns {  // of a pair, as they grow
+  std::vector<float> x_cur, x_prev, sigma, probability;
+  std::vector<std::uint8_t> block;
+  void add(Vec2 x, Vec2 match, float sigma_, float probability_, int width, int height) {
+    x_cur.insert(x_cur.end(), {x.x, x.y});
+    x_prev.insert(x_prev.end(), {match.x, match.y});
+    sigma.push_back(sigma_);
+    probability.push_back(probability_);
+    block.push_back(static_cast<std::uint8_t>(width));
+    block.push_back(static_cast<std::uint8_t>(height));
+  }
+};
+
+// Columns of a pair whose supported macroblocks up to `reach` [px] beside and below a point are cut
+// into strips, where half of the strips are sharp. Four strips tell no more than a macroblock with a
+// vector of that sigma [px]: what they err by in common is not less.
+py::tuple strips(const py::object& picture, const py::object& before, const py::tuple& pair,
+                 const py::object& place, float reach, float vector_sigma) {
+  const char* name = "strips";
+  const auto now = Picture::of(name, "now", picture), then = Picture::of(name, "before", before);
+  require(now && then, name, "both pictures must be there");
+  require(pair.size() == 5, name, "a pair has five columns");
+  const In<float> x_cur(name, "x_cur", pair[0], {ANY, 2}, Check::finite);
+  const auto n = x_cur.size();
+  const In<float> x_prev(name, "x_prev", pair[1], {n, 2}, Check::finite),
+      sigma(name, "sigma", pair[2], {n}, Check::finite),
+      probability(name, "probability", pair[3], {n}, Check::finite);
+  const In<std::uint8_t> block(name, "block", pair[4], {n, 2});
+  const In<double> to(name, "point", place, {2}, Check::finite);
+  const Vec2 point{static_cast<float>(to[0]), static_cast<float>(to[1])};
+  const int columns = macroblocks(now->width), rows = macroblocks(now->height);
+  const auto field = field_of(name, py::make_tuple(pair[0], pair[1], pair[3]), columns, rows);
+  const float least = least_supported(probability);
+  const float floor = STRIPS * vector_sigma * vector_sigma;
+  Columns out;
+  std::vector<Vec2> starts;
+  for (py::ssize_t i = 0; i < n; ++i) {
+    const Vec2 x = at(x_cur, i), off = x - point;
+    Strip found[STRIPS];
+    int good = 0, sharp = 0;
+    if (!(probability[i] < least) && std::abs(off.x) < reach && off.y > -MACROBLOCK &&
+        off.y < reach) {
+      const int macroblock = nearest_macroblock(x, columns, rows);
+      starts.assign(1, at(x_prev, i) - x);
+      for (const int other : {macroblock - columns, macroblock + columns})
+        if (other >= 0 && other < columns * rows && std::isfinite(field[other].x))
+          starts.push_back(field[other]);
+      const Symmetric known = beforehand(off, vector_sigma);
+      for (int k = 0; k < STRIPS; ++k)
+        if (find(*now, *then, MACROBLOCK * (macroblock % columns),
+                 MACROBLOCK * (macroblock / columns) + HEIGHT * k, known, starts, found[good])) {
+          sharp += found[good].variance < SHARP * SHARP;
+          ++good;
+        }
+    }
+    if (2 * sharp < STRIPS)
+      out.add(x, at(x_prev, i), sigma[i], probability[i], block(i, 0), block(i, 1));
+    else
+      for (int k = 0; k < good; ++k)
+        out.add(found[k].x, found[k].x + found[k].vector, std::sqrt(found[k].variance + floor),
+                probability[i], WIDTH, HEIGHT);
+  }
+  return py::make_tuple(array_of(out.x_cur, 2), array_of(out.x_prev, 2), array_of(out.sigma),
+                        array_of(out.probability), array_of(out.block, 2));
+}
+
+}  // namespace
+}  // namespace kernels
+
+void bind_strips(kernels::py::module_& module) {
+  module.def("expansion", kernels::expansion);
+  module.def("strips", kernels::strips);
+}

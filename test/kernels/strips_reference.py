@@ -1,0 +1,96 @@
+"""Strips of macroblocks in numpy, see kernels/strips.cpp."""
+
+import cv2
+from mv_slapse.geometry.blocks import MACROBLOCK
+import numpy as np
+
+HEIGHT, STEPS, NOISE, SHARE, OUTWARDS, SHARP, NEAR = 4, 3, 3.0, 15.0, 1.0, 0.3, 8.0
+
+
+def patch(picture, left, top):
+    """Grey levels of a strip whose first pixel lies between pixels; None outside."""
+    height, width = picture.shape
+    x, y = int(np.floor(left)), int(np.floor(top))
+    if x < 0 or y < 0 or x + MACROBLOCK >= width or y + HEIGHT >= height:
+        return None
+    a, b = left - x, top - y
+    part = picture[y:y + HEIGHT + 1, x:x + MACROBLOCK + 1].astype(float)
+    part = (1 - a) * part[:, :-1] + a * part[:, 1:]
+    return (1 - b) * part[:-1] + b * part[1:]
+
+
+def find(now, before, left, top, known, starts):
+    """Vector and variance of a strip; None where it leaves a picture."""
+    height, width = now.shape
+    if left < 1 or top < 1 or left + MACROBLOCK >= width or top + HEIGHT >= height:
+        return None
+    around = now[top - 1:top + HEIGHT + 1, left - 1:left + MACROBLOCK + 1].astype(float)
+    slopes = around[1:-1, 2:] - around[1:-1, :-2], around[2:, 1:-1] - around[:-2, 1:-1]
+    J = np.stack([slope / 2 - slope.mean() / 2 for slope in slopes], -1).reshape(-1, 2)
+
+    def apart(vector):
+        there = patch(before, left + vector[0], top + vector[1])
+        if there is None:
+            return None
+        difference = around[1:-1, 1:-1] - there
+        return (difference - difference.mean()).ravel()
+
+    misfits = [(np.sum(apart(start)**2), k) for k, start in enumerate(starts)
+               if apart(start) is not None]
+    if not misfits:
+        return None
+    start = np.array(starts[min(misfits)[1]], float)
+    vector = start.copy()
+    for _ in range(STEPS):
+        if apart(vector) is None:
+            return None
+        vector += np.linalg.solve(J.T @ J / NOISE**2 + known,
+                                  J.T @ apart(vector) / NOISE**2 - known @ (vector - start))
+    if apart(vector) is None:
+        return None
+    noise = NOISE**2 + SHARE * np.mean(apart(vector)**2)
+    return vector, 1 / np.linalg.eigvalsh(J.T @ J / noise + known)[0]
+
+
+def beforehand(off, across):
+    """Information (2, 2) of where the search begins."""
+    away = np.hypot(*off)
+    if away < NEAR:
+        return np.eye(2) / OUTWARDS**2
+    n = off / away
+    outer = np.outer(n, n)
+    return outer / OUTWARDS**2 + (np.eye(2) - outer) / across**2
+
+
+def strips(now, before, pair, point, reach, sigma):
+    """Columns of a pair with strips, as lists of rows."""
+    x_cur, x_prev, spread, probability, block = pair
+    columns, rows = (-(-size // MACROBLOCK) for size in now.shape[::-1])
+    cell = np.clip(np.floor((x_cur + 0.5) / MACROBLOCK).astype(int), 0, (columns - 1, rows - 1))
+    good = probability >= 0.5 * probability.max(initial=0)
+    field = {tuple(cell[i]): x_prev[i] - x_cur[i] for i in np.flatnonzero(good)}
+    out = []
+    for i in range(len(x_cur)):
+        off = (x_cur[i] - point).astype(float)
+        found = []
+        if good[i] and abs(off[0]) < reach and -MACROBLOCK < off[1] < reach:
+            column, row = cell[i]
+            starts = [x_prev[i] - x_cur[i]] + [
+                field[column, other] for other in (row - 1, row + 1) if (column, other) in field]
+            for k in range(MACROBLOCK // HEIGHT):
+                corner = MACROBLOCK * column, MACROBLOCK * row + HEIGHT * k
+                told = find(now, before, *corner, beforehand(off, sigma), starts)
+                if told is not None:
+                    found.append((np.array(corner) + [7.5, 1.5], *told))
+        if sum(variance < SHARP**2 for _, _, variance in found) < 2:
+            out.append((x_cur[i], x_prev[i], spread[i], probability[i], tuple(block[i])))
+            continue
+        out += [(x, x + vector, np.sqrt(variance + 4 * sigma**2), probability[i], (16, 4))
+                for x, vector, variance in found]
+    return [np.array(column) for column in zip(*out, strict=True)]
+
+
+def picture(rng, width=176, height=112, smooth=2.0):
+    """Grey levels with structure of some pixels, in rows that are longer than the picture."""
+    grey = cv2.GaussianBlur(rng.normal(0, 1, (height, width + 10)), (0, 0), smooth)
+    return np.clip(128 + 40 * grey / grey.std(), 0, 255).astype(np.uint8)[:, :width]
