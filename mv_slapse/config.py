@@ -112,7 +112,7 @@ class DecoderSettings(Checked):
         'stays whole', 0.0)
     bridge_intra: bool = setting(
         True, '-', 'look at pictures: search the macroblocks of an I frame that no vectors, or '
-        'few, join to the past, and weigh vectors by texture')
+        'few, join to the past, weigh vectors by texture, and cut macroblocks on the way ahead')
     bridge_variance: float = setting(
         1.0, '-', 'variance of a match so found, in units of a motion vector', 0.01, 100.0)
     bridge_minimum: int = setting(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 from formulas import fit_moving_plane
-from mv_slapse.geometry.moving_plane import COVERED
+from mv_slapse.geometry.blocks import COVERED
 from mv_slapse.records import (
     CameraMotion,
     Extraction,

@@ -6,7 +6,7 @@ import formulas
 from mv_slapse.geometry import blocks, two_view
 from mv_slapse.geometry.blocks import grid_index, grid_shape
 from mv_slapse.geometry.camera import to_pixels, to_rays
-from mv_slapse.geometry.moving_plane import homography
+from mv_slapse.movers.moving_plane import homography
 import numpy as np
 import obstacles_reference
 from scipy import ndimage

@@ -1,11 +1,11 @@
-"""A moving plane as rate, slope and log depth, as of ``mv_slapse.geometry.moving_plane``.
+"""A moving plane as rate, slope and log depth, as of ``mv_slapse.movers.moving_plane``.
 
 ``theta`` is (g, A, B, ln Z), shape (6,). The tests of kernels compare with these formulas, too.
 """
 
 from typing import NamedTuple
 
-from mv_slapse.geometry.moving_plane import COVERED
+from mv_slapse.geometry.blocks import COVERED
 import numpy as np
 
 RATE, SLOPE, LOG_DEPTH = slice(0, 3), slice(3, 5), 5

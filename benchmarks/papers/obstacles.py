@@ -11,7 +11,7 @@ from typing import NamedTuple
 from mv_slapse.geometry import plane
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_rays, UP
-from mv_slapse.geometry.moving_plane import homography
+from mv_slapse.movers.moving_plane import homography
 import numpy as np
 from scipy.optimize import least_squares
 

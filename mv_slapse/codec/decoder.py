@@ -37,7 +37,7 @@ class CorrespondenceDecoder:
         self._settings, self._on_picture = settings, on_picture
         self._chainer = Chainer(settings, camera)
         self._strips = StripCutter(settings, camera)
-        self._frames = FrameDecoder(settings.bridge_intra, self._strips.is_on)
+        self._frames = FrameDecoder(settings.bridge_intra, self._strips.reach > 0)
         self._segments = SegmentBuilder()
         self._expect = MotionPrior()
         self._usual = 0

@@ -22,32 +22,29 @@ COLUMNS = 'x_cur', 'x_prev', 'sigma', 'probability', 'block'
 
 
 class StripCutter:
-    """Holds the pictures that a pair to come may need, and the point that the camera goes to."""
+    """Holds the pictures that a pair to come may need, and the point that the camera goes to.
+
+    Without a camera, or with a long lens, ``reach`` [px] is zero and nothing is cut.
+    """
 
     def __init__(self, settings: DecoderSettings, camera: Camera | None):
-        """Know no picture yet; without a camera, or with a long lens, nothing is cut."""
+        """Know no picture yet."""
         focal = camera.K[0, 0] if camera else np.inf
-        self._reach = min(REACH * focal, FARTHEST) if focal <= LONGEST else 0.0
+        self.reach = min(REACH * focal, FARTHEST) if focal <= LONGEST else 0.0
         self._sigma = settings.vector_sigma
-        self._pictures: deque[tuple[int, np.ndarray]] = deque(maxlen=KEPT)
+        self._pictures: deque[tuple[int, np.ndarray]] = deque(maxlen=KEPT if self.reach else 0)
         self._point: np.ndarray | None = None
-
-    @property
-    def is_on(self) -> bool:
-        """Whether anything can be cut."""
-        return self._reach > 0
 
     def keep(self, stamp: int, luma: np.ndarray):
         """Keep a picture (H, W) uint8 by its stamp [ns]."""
-        if self.is_on:
-            self._pictures.append((stamp, luma))
+        self._pictures.append((stamp, luma))
 
     def cut(self, pair: Correspondences) -> Correspondences:
         """Return a pair with strips in place of macroblocks, where both its pictures are kept."""
-        pictures = dict(self._pictures)
-        now, before = pictures.get(pair.stamp), pictures.get(pair.previous_stamp)
+        kept = dict(self._pictures)
         while self._pictures and self._pictures[0][0] < pair.stamp:
             self._pictures.popleft()
+        now, before = kept.get(pair.stamp), kept.get(pair.previous_stamp)
         if now is None or before is None or now.shape != before.shape:
             return pair
         point = compiled.expansion(pair.x_cur, pair.x_prev, pair.probability, *now.shape[::-1])
@@ -57,5 +54,5 @@ class StripCutter:
         if self._point is None:
             return pair
         columns = compiled.strips(now, before, tuple(getattr(pair, name) for name in COLUMNS),
-                                  self._point, self._reach, self._sigma)
+                                  self._point, self.reach, self._sigma)
         return replace(pair, **dict(zip(COLUMNS, columns, strict=True)))

@@ -6,7 +6,7 @@ Rays are K^-1 x with last coordinate 1. Inverse depths are in units of 1/|t|.
 
 from dataclasses import dataclass
 
-from mv_slapse.geometry.vector import norm
+from mv_slapse.geometry.rotation import norm
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 

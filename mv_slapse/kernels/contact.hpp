@@ -1,4 +1,4 @@
-// Where a region of blocks meets the ground, and how far off that is; see geometry/moving_plane.py.
+// Where a region of blocks meets the ground, and how far off that is; see benchmarks/papers/moving_plane.py.
 
 #pragma once
 

@@ -356,8 +356,7 @@ py::array_t<double> blurred_rate(const py::object& z_, const py::object& R_, dou
   return out.array();
 }
 
-// State with the depth of the ground under a region's lower edge, as of
-// geometry.moving_plane.contact_depth. policy: covered, macroblock [px], rows of the picture [px],
+// State with the depth of the ground under a region's lower edge, see contact.hpp. policy: covered, macroblock [px], rows of the picture [px],
 // sigma of a hidden contact -> z, R, edge (3,) or None where the edge lies at the horizon or above
 py::object depth_from_ground(const py::object& z_, const py::object& R_, const py::object& x,
                              const py::object& block, const py::object& K_,

@@ -305,7 +305,7 @@ py::tuple region_outlines(const py::object& regions, const py::object& K_,
       }
       keys.push_back(key);
     }
-    // A single block below all others is taken for a stray, as geometry.moving_plane.contact does.
+    // A single block below all others is taken for a stray, as in contact.hpp.
     auto sorted = bottom;
     std::sort(sorted.begin(), sorted.end());
     const double edge = sorted[std::max<std::ptrdiff_t>(end - begin - 2, 0)];

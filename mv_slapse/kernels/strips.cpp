@@ -204,8 +204,8 @@ struct Columns {  // of a pair, as they grow
 };
 
 // Columns of a pair whose supported macroblocks up to `reach` [px] beside and below a point are cut
-// into strips, where half of the strips are sharp. Four strips tell no more than a macroblock with a
-// vector of that sigma [px]: what they err by in common is not less.
+// into strips, where half of them are sharp; the others go. Four strips tell no more than a
+// macroblock with a vector of that sigma [px]: what they err by in common is not less.
 py::tuple strips(const py::object& picture, const py::object& before, const py::tuple& pair,
                  const py::object& place, float reach, float vector_sigma) {
   const char* name = "strips";
@@ -229,7 +229,7 @@ py::tuple strips(const py::object& picture, const py::object& before, const py::
   for (py::ssize_t i = 0; i < n; ++i) {
     const Vec2 x = at(x_cur, i), off = x - point;
     Strip found[STRIPS];
-    int good = 0, sharp = 0;
+    int sharp = 0;
     if (!(probability[i] < least) && std::abs(off.x) < reach && off.y > -MACROBLOCK &&
         off.y < reach) {
       const int macroblock = nearest_macroblock(x, columns, rows);
@@ -240,15 +240,14 @@ py::tuple strips(const py::object& picture, const py::object& before, const py::
       const Symmetric known = beforehand(off, vector_sigma);
       for (int k = 0; k < STRIPS; ++k)
         if (find(*now, *then, MACROBLOCK * (macroblock % columns),
-                 MACROBLOCK * (macroblock / columns) + HEIGHT * k, known, starts, found[good])) {
-          sharp += found[good].variance < SHARP * SHARP;
-          ++good;
-        }
+                 MACROBLOCK * (macroblock / columns) + HEIGHT * k, known, starts, found[sharp]) &&
+            found[sharp].variance < SHARP * SHARP)
+          ++sharp;
     }
     if (2 * sharp < STRIPS)
       out.add(x, at(x_prev, i), sigma[i], probability[i], block(i, 0), block(i, 1));
     else
-      for (int k = 0; k < good; ++k)
+      for (int k = 0; k < sharp; ++k)
         out.add(found[k].x, found[k].x + found[k].vector, std::sqrt(found[k].variance + floor),
                 probability[i], WIDTH, HEIGHT);
   }

@@ -1,5 +1,10 @@
 """Moving planes of a key frame pair: robust estimate of (12) in [MVO] with its gauge settled.
 
+The homography (11) of [MVO] holds only the product ``(t - t_d) plane^T``, which is ``-g w^T``
+about the ray ``(c, 1)`` of a region's centre. Rate ``g`` (3,) is ``t - t_d`` over the depth Z
+there, slope (A, B) makes ``w(x) = 1 + (A, B) @ (x - c)``, the inverse depth relative to the
+centre's. The gauge ``ln Z`` is what two views say nothing of.
+
 A region of a few macroblocks fixes its mean motion well, its growth less, the tilt of its plane
 hardly. The tilt therefore has a prior (surfaces of vehicles and people are upright), whose
 variance shows in the covariance where the vectors add nothing.
@@ -7,9 +12,9 @@ variance shows in the covariance where the vectors add nothing.
 
 from typing import NamedTuple
 
+from mv_slapse.geometry.blocks import COVERED
 from mv_slapse.geometry.camera import UP
-from mv_slapse.geometry.moving_plane import COVERED
-from mv_slapse.geometry.vector import norm
+from mv_slapse.geometry.rotation import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import ScalePrior
 import numpy as np
@@ -63,7 +68,7 @@ class Regions(NamedTuple):
 class Surfaces(NamedTuple):
     """Moving planes of several regions, their gauge still open."""
 
-    theta: np.ndarray  # (R, 5): rate and slope as in geometry.moving_plane
+    theta: np.ndarray  # (R, 5): rate and slope
     # (R, 5, 5): of their estimate, wider where vectors scatter more than their sigma says
     covariance: np.ndarray
     centre: np.ndarray  # (R, 2): first two coordinates of the ray they are about
@@ -71,6 +76,11 @@ class Surfaces(NamedTuple):
     # (R,): of the inliers' errors: 1 where they scatter as sigma says; infinite where less than
     # half of a region's vectors agree
     variance: np.ndarray
+
+
+def homography(product: np.ndarray, K: np.ndarray, R_cur_from_prev: np.ndarray) -> np.ndarray:
+    """Return H (..., 3, 3), x_prev ~ H x_cur, of moving planes by products, (11) of [MVO]."""
+    return K @ R_cur_from_prev.T @ (np.eye(3) + product) @ np.linalg.inv(K)
 
 
 def fit_surfaces(regions: Regions, view: View, ground: np.ndarray | None) -> Surfaces:

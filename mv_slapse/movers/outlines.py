@@ -2,8 +2,7 @@
 
 from typing import NamedTuple
 
-from mv_slapse.geometry.blocks import MACROBLOCK
-from mv_slapse.geometry.moving_plane import COVERED
+from mv_slapse.geometry.blocks import COVERED, MACROBLOCK
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 

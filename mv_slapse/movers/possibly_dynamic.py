@@ -6,10 +6,10 @@ does without the places that the last pair showed moving, and the last estimate 
 around a mover that move as it does.
 """
 
-from mv_slapse.geometry import moving_plane
 from mv_slapse.geometry.blocks import lookup, paint
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.estimate import MIN_CORRESPONDENCES
+from mv_slapse.movers.moving_plane import homography
 from mv_slapse.movers.regions import RULES
 from mv_slapse.records import Extraction, Label
 import numpy as np
@@ -27,7 +27,7 @@ def like_movers(shown: Extraction, parallax: np.ndarray) -> np.ndarray:
     movers = [plane for plane in shown.planes if plane.label is Label.MOVING]
     if not movers:
         return np.zeros(len(shown.x_cur), bool)
-    H = moving_plane.homography(np.array([plane.product for plane in movers]), shown.K,
+    H = homography(np.array([plane.product for plane in movers]), shown.K,
                                 shown.motion.R_cur_from_prev)
     return compiled.blocks_like_movers(
         shown.x_cur, shown.x_prev, shown.plane_id, parallax, np.array([m.id for m in movers]),

@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 from mv_slapse.changed import replace
 from mv_slapse.config import ObstacleSettings
-from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry.blocks import COVERED, MACROBLOCK
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.geometry.moving_plane import COVERED
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles.view import View

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.geometry.vector import norm
+from mv_slapse.geometry.rotation import norm
 from mv_slapse.obstacles import motion_model as om
 from mv_slapse.obstacles.detection import box_of, Detection, MOST
 from mv_slapse.obstacles.view import View

@@ -8,7 +8,7 @@ from mv_slapse.changed import replace
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry.blocks import MACROBLOCK
-from mv_slapse.geometry.vector import norm
+from mv_slapse.geometry.rotation import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import association
 from mv_slapse.obstacles import motion_model as om

@@ -8,7 +8,7 @@ from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import UP
-from mv_slapse.geometry.vector import norm
+from mv_slapse.geometry.rotation import norm
 from mv_slapse.records import Extraction, MotionStatus, PlaneHandover, Speed, TrackingStatus
 from mv_slapse.scene import gating as scene_gate
 from mv_slapse.scene import gauge as scene_gauge

@@ -1,6 +1,6 @@
 """The state of the scene filter written down as a record: estimate."""
 
-from mv_slapse.geometry.vector import norm
+from mv_slapse.geometry.rotation import norm
 from mv_slapse.records import MapPlane, ScaleStatus, SceneEstimate, TrackingStatus
 from mv_slapse.scene import gauge as scene_gauge
 from mv_slapse.scene.progress import Progress

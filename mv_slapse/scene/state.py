@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation
-from mv_slapse.geometry.vector import norm
+from mv_slapse.geometry.rotation import norm
 import numpy as np
 
 # Errors that are not estimated: turn by which all vectors err, place in their blocks that they

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from mv_slapse.changed import replace
 from mv_slapse.geometry import two_view
-from mv_slapse.geometry.vector import norm
+from mv_slapse.geometry.rotation import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.motion.observations import Depths

@@ -12,7 +12,7 @@ from mv_slapse.config import ExtractionSettings
 from mv_slapse.geometry import plane as plane_geometry
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import UP
-from mv_slapse.geometry.vector import norm
+from mv_slapse.geometry.rotation import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import BlockObservations, Depths
 from mv_slapse.surfaces import height

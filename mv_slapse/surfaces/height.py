@@ -7,7 +7,7 @@ of the picture tells to half a per cent; so the evidence of many pairs comes tog
 
 from dataclasses import dataclass
 
-from mv_slapse.geometry.vector import norm
+from mv_slapse.geometry.rotation import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import Depths
 import numpy as np

@@ -20,8 +20,8 @@ MPEG2 = Encoding('mpeg2video', 3, 12)
 ENCODINGS = [MPEG2, LOW_LATENCY, Encoding('h264', 2, 12)]
 
 
-def decoded(packets, with_luma=False):
-    decoder = FrameDecoder(with_luma)
+def decoded(packets, with_luma=False, of_all=False):
+    decoder = FrameDecoder(with_luma, of_all)
     return [frame for packet in packets for frame in decoder.feed(packet)] + decoder.flush()
 
 
@@ -299,6 +299,16 @@ def test_luma_is_the_picture_and_is_kept_of_key_frames_only(rng):
     # Grey is stored in the narrower range of video, 16 to 235.
     error = frames[4].luma.astype(float) - (16 + images[4] * (219 / 255))
     assert np.abs(error).mean() < 4
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_luma_of_all_pictures_is_kept_where_it_is_asked_for(rng, encoding):
+    images = pictures.sliding(rng, 9, (2, 1))
+    frames = decoded(encode(images, 25, encoding), with_luma=True, of_all=True)
+    for frame, image in zip(frames, images, strict=True):
+        assert np.abs(frame.luma - (16 + image * (219 / 255))).mean() < 4
+    without = decoded(encode(images, 25, encoding), of_all=True)
+    assert all(frame.luma is None for frame in without)
 
 
 @pytest.mark.parametrize('encoding', ENCODINGS)

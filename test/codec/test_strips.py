@@ -68,7 +68,7 @@ def test_where_a_picture_is_not_known_the_pair_stays(rng, stamps):
 @pytest.mark.parametrize('focal', [None, LONGEST + 1])
 def test_without_a_camera_or_with_a_long_lens_nothing_is_kept_or_cut(rng, focal):
     given, cut = pair(), cutter(rng, focal=focal)
-    assert not cut.is_on
+    assert not cut.reach
     assert cut.cut(given) is given
 
 

@@ -38,3 +38,8 @@ def test_tangent_basis_is_orthonormal_and_normal_to_its_direction(rng):
 def test_cross_is_the_cross_product(rng, shapes):
     a, b = (rng.normal(size=shape) for shape in shapes)
     np.testing.assert_array_equal(formulas.cross(a, b), np.cross(a, b))
+
+
+def test_norm_is_numpys_bit_by_bit(rng):
+    for vector in rng.normal(size=(100, 3)):
+        assert rotation.norm(vector) == np.linalg.norm(vector)

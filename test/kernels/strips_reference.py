@@ -80,9 +80,9 @@ def strips(now, before, pair, point, reach, sigma):
             for k in range(MACROBLOCK // HEIGHT):
                 corner = MACROBLOCK * column, MACROBLOCK * row + HEIGHT * k
                 told = find(now, before, *corner, beforehand(off, sigma), starts)
-                if told is not None:
+                if told is not None and told[1] < SHARP**2:
                     found.append((np.array(corner) + [7.5, 1.5], *told))
-        if sum(variance < SHARP**2 for _, _, variance in found) < 2:
+        if len(found) < 2:
             out.append((x_cur[i], x_prev[i], spread[i], probability[i], tuple(block[i])))
             continue
         out += [(x, x + vector, np.sqrt(variance + 4 * sigma**2), probability[i], (16, 4))

@@ -2,9 +2,8 @@
 
 from types import SimpleNamespace
 
-from mv_slapse.geometry.blocks import MACROBLOCK
+from mv_slapse.geometry.blocks import COVERED, MACROBLOCK
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.geometry.moving_plane import COVERED
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import detection as rules
 from mv_slapse.obstacles import motion_model as om

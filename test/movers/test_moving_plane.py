@@ -2,8 +2,7 @@
 
 from drawn_movers import CAMERA_HEIGHT, Drive, DT, K, Mover
 from formulas import fit_moving_plane, time_to_contact
-from mv_slapse.geometry.moving_plane import homography
-from mv_slapse.movers.moving_plane import fit_surfaces, Regions, View
+from mv_slapse.movers.moving_plane import fit_surfaces, homography, Regions, View
 from mv_slapse.records import ScalePrior
 import numpy as np
 import pytest

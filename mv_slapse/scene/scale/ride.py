@@ -10,7 +10,7 @@ from typing import NamedTuple
 from mv_slapse.changed import replace
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
-from mv_slapse.geometry.vector import norm
+from mv_slapse.geometry.rotation import norm
 from mv_slapse.records import CameraMotion
 from mv_slapse.scene import observations as scene_observations
 from mv_slapse.scene.observations import Observation

@@ -1,7 +1,7 @@
 """The rank-1 form of a moving plane: definition, round trip, Jacobians, ground contact."""
 
 from mv_slapse.geometry.camera import to_pixels, to_rays
-from mv_slapse.geometry.moving_plane import homography
+from mv_slapse.movers.moving_plane import homography
 from numeric import jacobian
 import numpy as np
 import obstacles_reference as reference
