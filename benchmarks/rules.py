@@ -295,8 +295,6 @@ RULES = (
          {REGIONS + 'RULES': constants(kept=1.0)}),
     Rule('name of a plane', 'a region that was a stationary plane keeps its name',
          {REGIONS + 'RULES': constants(same_plane=np.inf)}),
-    Rule('bridges', 'blocks as far as the ground between rows of a mover join them',
-         {REGIONS + 'RULES': constants(column=0.0)}),
     Rule('grown movers', 'blocks around a mover that move with it join it',
          {REGIONS + '_grown': gives(lambda pair, alike, planes, view:
                                     [alike.members[alike.rows(i)] for i in planes])}),

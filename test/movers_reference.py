@@ -46,8 +46,7 @@ def moving_regions(pair, view, ground, nearer, rules):
         m=m, length=length, ground_like=ground_like, far=far,
         below=rho + 2 * noise < rules.below_ground * under, growth=nearing / (1 + nearing))
     a, b = alike(pair, field, rules)
-    usable = ~ground_like | bridges(pair.x, ground_like, a, b, rules)
-    joined, index = usable[a] & usable[b], np.flatnonzero(usable & ~far)
+    joined, index = ~ground_like[a] & ~ground_like[b], np.flatnonzero(~ground_like & ~far)
     graph = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), shape=(n, n))
     part = connected_components(graph, directed=False)[1][index]
     area = pair.block.prod(axis=1) / rules.macroblock**2
@@ -87,16 +86,6 @@ def alike(pair, field, rules):
     sign = np.sign(pair.departure)
     left = sign + np.bincount(a, sign[b], n) + np.bincount(b, sign[a], n) > 0
     return a[left[a] == left[b]], b[left[a] == left[b]]
-
-
-def bridges(x, ground_like, a, b, rules):
-    """Return the blocks that move as the ground does, but as those above and below, too."""
-    found = np.zeros((2, len(x)), bool)
-    for one, other in ((a, b), (b, a)):
-        beside = ~ground_like[other] & (np.abs(x[one, 0] - x[other, 0]) < rules.column)
-        found[0, one[beside & (x[other, 1] < x[one, 1])]] = True
-        found[1, one[beside & (x[other, 1] > x[one, 1])]] = True
-    return ground_like & found[0] & found[1]
 
 
 def fit_one(x, x_prev, sigma, view, down, rules):

@@ -26,10 +26,9 @@ from mv_slapse.surfaces.plane_search import PlaneFit
 from mv_slapse.surfaces.plane_track import KnownPlanes
 import numpy as np
 
-# Mean robust cost at which the last motion explains a pair as well as five points would: about two
-# thirds of the blocks within a standard deviation; or half, in a stream as noisy as before.
-PREDICTED_COST, NOISY_COST = 0.35, 0.5
-NOISIER = 1.3  # growth of the noise from pair to pair; B frames make 1.25 by turns, as measured
+# Mean robust cost up to which the last motion explains a pair as well as five points would: about
+# half of the blocks are within a standard deviation.
+PREDICTED_COST = 0.5
 MANY_MOVERS = 0.9  # share of blocks left below which the motion is estimated anew without them
 
 
@@ -202,18 +201,12 @@ class PlaneExtractor:
         last, predicted, others = self._memory.motion, None, []
         if last is not None:
             predicted = refined_from(pair, last.R_cur_from_prev, last.t_cur_from_prev)
-        if predicted is None or self._is_unlikely(pair, predicted):
+        if predicted is None or predicted.cost > PREDICTED_COST:
             starts = estimate.from_essential_matrix(
                 pair.rays_cur, pair.rays_prev, 0.7 / pair.K[0, 0])[:1]
             starts = starts or [(np.eye(3), np.array([0.0, 0.0, -1.0]))] * (predicted is None)
             others = [refined_from(pair, *start) for start in starts]
         return planar_ambiguity.unfolded(pair, planar_ambiguity.likeliest(pair, predicted, others))
-
-    def _is_unlikely(self, pair: two_view.Pair, fit: MotionFit) -> bool:
-        """Tell whether a motion leaves more unexplained than the noise of the stream does."""
-        before = self._memory.noise
-        return fit.cost > NOISY_COST or fit.cost > PREDICTED_COST and (
-            estimate.calibrated(pair, fit, before) > NOISIER * before)
 
     def _first_motion(self, whole: Extraction, pair: two_view.Pair):
         """Estimate the motion without what was a mover, and what must be one by the ground.

@@ -64,12 +64,12 @@ struct RegionRules {
   explicit RegionRules(const py::object& o)
       : reach(number(o, "reach")), alike(number(o, "alike")), alike_share(number(o, "alike_share")),
         alike_grown(number(o, "alike_grown")), alike_short(number(o, "alike_short")),
-        repeated(number(o, "repeated")), column(number(o, "column")), least(number(o, "least")),
+        repeated(number(o, "repeated")), least(number(o, "least")),
         on_ground(number(o, "on_ground")), below_ground(number(o, "below_ground")),
         fits(number(o, "fits")),
         far(number(o, "far")), resting(number(o, "resting")), receding(number(o, "receding")),
         macroblock(number(o, "macroblock")) {}
-  double reach, alike, alike_share, alike_grown, alike_short, repeated, column, least, on_ground,
+  double reach, alike, alike_share, alike_grown, alike_short, repeated, least, on_ground,
       below_ground, fits, far, resting, receding, macroblock;
 };
 
@@ -237,41 +237,24 @@ std::vector<Pair> alike(const Blocks& blocks, Field& field, const RegionRules& r
   return pairs;
 }
 
-// Blocks that move as the ground does, but as their neighbours up and down, too: a car ahead shows
-// all its blocks at one depth, and at one of its rows the ground has it.
-std::vector<char> usable_blocks(const Blocks& blocks, Field& field, const std::vector<Pair>& pairs,
-                                const RegionRules& rules) {
-  std::vector<char> above(blocks.n), below(blocks.n), usable(blocks.n);
-  for (const auto& pair : pairs) {
-    if (!(std::abs(blocks.x(pair.a, 0) - blocks.x(pair.b, 0)) < rules.column)) continue;
-    for (const auto& [one, other] : {pair, Pair{pair.b, pair.a}}) {
-      if (field.ground_like[other]) continue;
-      above[one] |= blocks.x(other, 1) < blocks.x(one, 1);
-      below[one] |= blocks.x(other, 1) > blocks.x(one, 1);
-    }
-  }
-  for (py::ssize_t i = 0; i < blocks.n; ++i)
-    usable[i] = !field.ground_like[i] || (above[i] && below[i]);
-  return usable;
-}
-
 std::int64_t root(std::vector<std::int64_t>& parent, std::int64_t i) {
   while (parent[i] != i) i = parent[i] = parent[parent[i]];
   return i;
 }
 
-// Connected sets of usable blocks, by rising first block; returns their blocks and their starts.
+// Connected sets of blocks that do not move as the ground does, by rising first block; returns their
+// blocks and their starts.
 py::tuple connected(const Blocks& blocks, Field& field, const std::vector<Pair>& pairs,
-                    const std::vector<char>& usable, const RegionRules& rules) {
+                    const RegionRules& rules) {
   std::vector<std::int64_t> parent(blocks.n), size(blocks.n), at(blocks.n, -1), start;
   std::vector<double> area(blocks.n);
   std::iota(parent.begin(), parent.end(), 0);
   for (const auto& [a, b] : pairs)
-    if (usable[a] && usable[b]) {
+    if (!field.ground_like[a] && !field.ground_like[b]) {
       const auto one = root(parent, a), other = root(parent, b);
       parent[std::max(one, other)] = std::min(one, other);
     }
-  const auto counts = [&](py::ssize_t i) { return usable[i] && !field.far[i]; };
+  const auto counts = [&](py::ssize_t i) { return !field.ground_like[i] && !field.far[i]; };
   for (py::ssize_t i = 0; i < blocks.n; ++i)
     if (counts(i)) {
       const auto first = root(parent, i);
@@ -303,8 +286,7 @@ py::tuple moving_regions(const py::object& blocks_, const py::object& view_,
   judge_singly(blocks, view, vector(kernel, "ground", ground), nearer, rules, field);
   mark_copied(blocks, rules, field);
   const auto pairs = alike(blocks, field, rules);
-  const auto usable = usable_blocks(blocks, field, pairs, rules);
-  const auto parts = connected(blocks, field, pairs, usable, rules);
+  const auto parts = connected(blocks, field, pairs, rules);
   return py::make_tuple(field.parallax.array(), field.rho.array(), field.noise.array(),
                         field.under.array(), field.ground_like.array(), field.far.array(),
                         field.copied.array(), field.below.array(), field.fits.array(), parts[0],

@@ -128,6 +128,12 @@ KERNELS_INLINE Vec2 solve(Symmetric a, Vec2 b) {
   return {(a.yy * b.x - a.xy * b.y) / determinant, (a.xx * b.y - a.xy * b.x) / determinant};
 }
 
+// Largest variance [px^2] in any direction of what has this information.
+KERNELS_INLINE float variance(Symmetric a) {
+  const float half = 0.5f * (a.xx - a.yy);
+  return 1 / (0.5f * (a.xx + a.yy) - std::sqrt(half * half + a.xy * a.xy));
+}
+
 // Information of where the search begins: along the way out from the expansion point a vector is not
 // known so well as across it, where what stands still and what drives ahead have none.
 Symmetric beforehand(Vec2 off, float across) {
@@ -144,7 +150,7 @@ struct Strip {
 };
 
 // The vector of the strip whose first pixel lies at (left, top), from the best of some; false where
-// it leaves one of the pictures.
+// it is not sharp or leaves one of the pictures.
 KERNELS_WIDE bool find(const Picture& now, const Picture& then, int left, int top,
                        const Symmetric& known, const std::vector<Vec2>& starts, Strip& out) {
   if (left < 1 || top < 1 || left + WIDTH >= now.width || top + HEIGHT >= now.height) return false;
@@ -160,6 +166,9 @@ KERNELS_WIDE bool find(const Picture& now, const Picture& then, int left, int to
   }
   take_mean_off(by_x);
   take_mean_off(by_y);
+  const Symmetric texture{product(by_x, by_x), product(by_x, by_y), product(by_y, by_y)};
+  constexpr float sure = 1 / (NOISE * NOISE);
+  if (variance(sure * texture + known) >= SHARP * SHARP) return false;  // whatever the other shows
   const Vec2 corner{static_cast<float>(left), static_cast<float>(top)};
   Vec2 start{};
   float best = INFINITY;
@@ -172,22 +181,17 @@ KERNELS_WIDE bool find(const Picture& now, const Picture& then, int left, int to
     }
   }
   if (!std::isfinite(best)) return false;
-  const Symmetric texture{product(by_x, by_x), product(by_x, by_y), product(by_y, by_y)};
   Vec2 vector = start;
   for (int step = 0; step < STEPS; ++step) {
     if (!compare(then, corner + vector, strip, apart)) return false;
-    constexpr float sure = 1 / (NOISE * NOISE);
     const Vec2 slope = sure * Vec2{product(by_x, apart), product(by_y, apart)};
     vector = vector + solve(sure * texture + known, slope - known * (vector - start));
   }
   if (!compare(then, corner + vector, strip, apart)) return false;
   const float noise = NOISE * NOISE + SHARE * product(apart, apart) / PIXELS;
-  const Symmetric told = 1 / noise * texture + known;
-  const float half = 0.5f * (told.xx - told.yy);
-  const float least = 0.5f * (told.xx + told.yy) - std::sqrt(half * half + told.xy * told.xy);
   const Vec2 middle{0.5f * (WIDTH - 1), 0.5f * (HEIGHT - 1)};
-  out = {corner + middle, vector, 1 / least};
-  return true;
+  out = {corner + middle, vector, variance(1 / noise * texture + known)};
+  return out.variance < SHARP * SHARP;
 }
 
 struct Columns {  // of a pair, as they grow
@@ -240,8 +244,7 @@ py::tuple strips(const py::object& picture, const py::object& before, const py::
       const Symmetric known = beforehand(off, vector_sigma);
       for (int k = 0; k < STRIPS; ++k)
         if (find(*now, *then, MACROBLOCK * (macroblock % columns),
-                 MACROBLOCK * (macroblock / columns) + HEIGHT * k, known, starts, found[sharp]) &&
-            found[sharp].variance < SHARP * SHARP)
+                 MACROBLOCK * (macroblock / columns) + HEIGHT * k, known, starts, found[sharp]))
           ++sharp;
     }
     if (2 * sharp < STRIPS)

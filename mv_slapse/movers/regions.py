@@ -34,7 +34,6 @@ class Rules(NamedTuple):
     alike_beside: float = 0.25  # share of a vector beside a region that it is at most
     inside: float = 2.5  # times as much within a region
     repeated: float = OUTLINE.repeated
-    column: float = MACROBLOCK / 2  # px across within which a block lies above another
     least: float = 4.0  # blocks, and as many macroblocks less a half
     on_ground: float = 0.2  # share of the ground's inverse depth within which a block is ground
     below_ground: float = 0.7  # share of it below which nothing still can be
