@@ -100,10 +100,7 @@ def detections(extraction: Extraction, view: View, settings: ObstacleSettings) -
     for plane in extraction.planes:
         if plane.label is not Label.MOVING or plane.covariance.shape != (6, 6):
             continue
-        x, block = _blocks(extraction, plane.id)
-        if len(x) < settings.min_macroblocks:
-            continue
-        item = _detection(plane, x, block, view, view.unit)
+        item = _detection(plane, extraction, view, view.unit, settings)
         if item is not None:
             found.append(_on_ground(blurred(item, view, settings), view))
     return sorted(found, key=lambda item: (-len(item.x), item.id))
@@ -116,9 +113,6 @@ def from_handover(handover: PlaneHandover, extraction: Extraction, view: View,
     Its blocks are those that the extraction counts to the plane, whatever their label; None
     where there are too few.
     """
-    x, block = _blocks(extraction, handover.id)
-    if len(x) < settings.min_macroblocks:
-        return None
     plane, by_plane = view.plane_to_cam(handover.plane)
     by_state = np.zeros((6, 6))
     by_state[:3, :3] = by_plane
@@ -126,7 +120,7 @@ def from_handover(handover: PlaneHandover, extraction: Extraction, view: View,
     return _detection(PlaneObservation(
         handover.id, Label.MOVING, plane, by_state @ handover.covariance @ by_state.T,
         by_state[3:, 3:] @ handover.velocity, scale_prior=ScalePrior.GROUND_CONTACT),
-        x, block, view, 1.0)
+        extraction, view, 1.0, settings)
 
 
 def joined(group: Sequence[Detection], view: View) -> Detection:
@@ -144,18 +138,15 @@ def joined(group: Sequence[Detection], view: View) -> Detection:
     return _on_ground(dataclasses.replace(first, z=z, R=R, x=x, block=block), view)
 
 
-def _blocks(extraction, plane_id):
-    """Return centres and sizes of the largest connected part of a plane's blocks.
+def _detection(plane, extraction, view, unit, settings):
+    """Return the Detection of a plane with lengths in a unit [map unit], None if behind it.
 
-    A block missing inside a surface does not tear it apart.
+    It has the largest connected part of the plane's blocks, None where that is too small. A block
+    missing inside a surface does not tear it apart.
     """
-    return compiled.largest_part(extraction.x_cur, extraction.block, extraction.plane_id,
-                                 plane_id, MACROBLOCK)
-
-
-def _detection(plane, x, block, view, unit):
-    """Return the Detection of a plane with lengths in a unit [map unit], None if behind it."""
-    found = compiled.region_state(
+    x, block = compiled.largest_part(extraction.x_cur, extraction.block, extraction.plane_id,
+                                     plane.id, MACROBLOCK)
+    found = None if len(x) < settings.min_macroblocks else compiled.region_state(
         plane.plane, plane.t_d, plane.covariance, x, block,
         (view.K, view.t_cur_from_prev, view.dt, view.size, unit), SHARES, om.SLOPE_LIMIT, COVERED)
     if found is None:
