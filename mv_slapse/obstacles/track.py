@@ -38,17 +38,6 @@ class EdgeRules(NamedTuple):
 EDGE = EdgeRules()
 
 
-class Match(NamedTuple):
-    """How well a detection fits the track that it corrects; a new one's fits by itself."""
-
-    nis: float = 0.0  # squared distance
-    dof: int = 0  # of which that is chi-square
-    overlap: float = 1.0  # of the boxes
-
-
-NEW = Match()
-
-
 @dataclass
 class Track:
     """A moving obstacle."""
@@ -119,7 +108,7 @@ class Track:
             self.scale_prior, self.edge = detection.scale_prior, detection.edge
         if detection.has_rate:
             self._follow(extraction.stamp, view, settings)
-            self.witness(extraction, view, detection, Match(distance, dof, shared))
+            self.witness(extraction, view, detection, distance, dof, shared)
 
     def scale(self, unit: float):
         """Go on in a unit of length that makes ``unit`` of the one so far."""
@@ -191,8 +180,12 @@ class Track:
         return replace(detection, z=z, R=R)
 
     def witness(self, extraction: Extraction, view: View, detection: Detection,
-                match: Match = NEW):
-        """Keep what the newest detection says, for plane management."""
+                nis: float = 0.0, dof: int = 0, overlap: float = 1.0):
+        """Keep what the newest detection says, for plane management.
+
+        ``nis``, ``dof`` and ``overlap`` tell how well it fits the track that it corrects, as of
+        Evidence; a new one's fits by itself.
+        """
         self.last_seen = extraction.stamp
         # A bumper ends above the road, so that what stands looks as if it came towards the camera.
         nearer = EDGE.clearance if self.scale_prior is ScalePrior.GROUND_CONTACT else 0.0
@@ -200,7 +193,7 @@ class Track:
                                         view.compared_covariance, nearer)
         speed = norm(self.motion(view).velocity)
         self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic,
-                                      match.nis, match.dof, speed, match.overlap, detection.score))
+                                      nis, dof, speed, overlap, detection.score))
         self.evidence = within(self.evidence, KEPT_EVIDENCE)
 
     def height(self, view: View) -> float:
