@@ -78,20 +78,16 @@ class Source(AbstractContextManager):
                          self.codec, extradata)
 
     def _demux(self) -> Iterator[av.Packet]:
-        packets, some = self._container.demux(self._stream), False
-        while True:
-            try:
-                packet = next(packets)
-            except StopIteration:
-                return
-            except av.error.FFmpegError as error:
-                if some or isinstance(error, av.error.EOFError):
-                    return
+        some = False
+        try:
+            for packet in self._container.demux(self._stream):
+                if packet.size:
+                    some = True
+                    yield packet
+        except av.error.FFmpegError as error:
+            if not some and not isinstance(error, av.error.EOFError):
                 raise UnusableInput(f'{self._container.name} cannot be read as a video: {error}; '
                                     'is it whole, and can its server begin anywhere?') from error
-            if packet.size:
-                some = True
-                yield packet
 
 
 class _Clock:
@@ -132,19 +128,24 @@ def open_source(path_or_url: str | Path) -> Source:
     if not container.streams.video:
         container.close()
         raise UnusableInput(f'{name} has no video stream; give a file with pictures in it')
-    return _checked(container, name)
+    source = Source(container)
+    if source.interlaced:
+        source.close()
+        raise UnusableInput(f'{name}: the video is interlaced: its vectors join fields, not '
+                            'frames; deinterlace it with: ffmpeg -i INPUT -vf bwdif '
+                            '-c:v libx264 -refs 1 -bf 0 OUTPUT.mp4')
+    return source
 
 
 def check_protocol(name: str):
     """Raise UnusableInput for a URL of a protocol that is not taken."""
-    if '://' in name and _protocol(name) not in (LOCAL, *PROTOCOLS.split(',')):
+    if _protocol(name) not in (LOCAL, *PROTOCOLS.split(',')):
         raise UnusableInput(f'{name}: protocol not allowed; use one of {LOCAL},{PROTOCOLS}')
 
 
 def is_live(name: str) -> bool:
     """Return whether a source is a camera or the network: it does not wait, and may come back."""
-    return Path(name).is_char_device() or name.startswith('/dev/') or (
-        '://' in name and _protocol(name) != LOCAL)
+    return Path(name).is_char_device() or name.startswith('/dev/') or _protocol(name) != LOCAL
 
 
 def _camera(name: str):
@@ -157,21 +158,11 @@ def _camera(name: str):
 
 def _how_to_open(name: str, is_url: bool) -> dict:
     """Return the arguments of av.open: a patience for networks."""
-    is_local = not is_url or _protocol(name) == LOCAL
-    options = {'protocol_whitelist': LOCAL if is_local else PROTOCOLS}
-    if is_url and _protocol(name) == 'rtsp':  # UDP loses packets in silence: a broken pair
+    protocol = _protocol(name)
+    options = {'protocol_whitelist': LOCAL if protocol == LOCAL else PROTOCOLS}
+    if protocol == 'rtsp':  # UDP loses packets in silence: a broken pair
         options['rtsp_transport'] = 'tcp'
     return {'options': options} | ({'timeout': PATIENCE} if is_url else {})
-
-
-def _checked(container, name: str) -> Source:
-    source = Source(container)
-    if source.interlaced:
-        source.close()
-        raise UnusableInput(f'{name}: the video is interlaced: its vectors join fields, not '
-                            'frames; deinterlace it with: ffmpeg -i INPUT -vf bwdif '
-                            '-c:v libx264 -refs 1 -bf 0 OUTPUT.mp4')
-    return source
 
 
 def _place(name: str, is_url: bool) -> str | BinaryIO:
@@ -181,8 +172,8 @@ def _place(name: str, is_url: bool) -> str | BinaryIO:
     return _fifo(Path(name)) if Path(name).is_fifo() else str(Path(name).absolute())
 
 
-def _protocol(url: str) -> str:
-    return url.split('://', 1)[0].lower()
+def _protocol(name: str) -> str:
+    return name.split('://', 1)[0].lower() if '://' in name else LOCAL
 
 
 def _check_file(path: Path):
