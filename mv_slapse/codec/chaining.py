@@ -27,7 +27,6 @@ class Chainer:
         self._camera = camera
         self._chain: Correspondences | None = None
         self._links = 0
-        self._step = 0
         # Halves of a segment are asked about before they come in: the pairs asked about last.
         self._asked: deque[tuple[Correspondences, bool]] = deque(maxlen=2)
 
@@ -35,13 +34,16 @@ class Chainer:
         """Return what can be published after this pair: contiguous pairs in order of time."""
         if pair.kind is SegmentKind.BROKEN:
             return [*self.flush(), pair]
-        self._step = pair.stamp - pair.previous_stamp
         if self._chain is None:
             self._chain, self._links = pair, 1
         else:
             self._chain = chain(pair, self._chain, self._settings)
             self._links += 1
-        return self.flush() if self._is_due() else []
+        step = pair.stamp - pair.previous_stamp
+        age_after_next = (self._chain.stamp - self._chain.previous_stamp + step) / 1e9
+        is_due = (age_after_next > self._settings.max_chain_time
+                  or self._links >= self._settings.max_chain or self.is_long(self._chain))
+        return self.flush() if is_due else []
 
     def flush(self) -> list[Correspondences]:
         """Return the pair held back, whatever its parallax."""
@@ -53,20 +55,12 @@ class Chainer:
         for asked, answer in self._asked:
             if asked.x_cur is pair.x_cur:
                 return answer
-        self._asked.append((pair, self._moves_far(pair)))
-        return self._asked[-1][1]
-
-    def _moves_far(self, pair: Correspondences) -> bool:
         settings = self._settings
-        if median_flow(pair) >= settings.max_chain_flow:
-            return True
-        return (pair.stamp - pair.previous_stamp >= settings.min_chain_time * 1e9
-                and parallax(pair, self._camera) >= settings.min_parallax)
-
-    def _is_due(self) -> bool:
-        age_after_next = (self._chain.stamp - self._chain.previous_stamp + self._step) / 1e9
-        return (age_after_next > self._settings.max_chain_time
-                or self._links >= self._settings.max_chain or self.is_long(self._chain))
+        is_long = median_flow(pair) >= settings.max_chain_flow or (
+            pair.stamp - pair.previous_stamp >= settings.min_chain_time * 1e9
+            and parallax(pair, self._camera) >= settings.min_parallax)
+        self._asked.append((pair, is_long))
+        return is_long
 
 
 def chain(newer: Correspondences, older: Correspondences,
