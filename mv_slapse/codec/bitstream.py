@@ -261,15 +261,12 @@ class Headers:
         order = bits.bits(sps.order_bits)
         if pps is None:
             return SliceHeader(is_idr, is_reference, number, sps.max_num_ref_frames, order)
-        self._skip_deltas(bits, pps)
-        return SliceHeader(is_idr, is_reference, number, _references(bits, kind, pps), order)
-
-    def _skip_deltas(self, bits: BitReader, pps: PictureParameters):
         deltas = {0: int(pps.has_bottom_order), 1: 1 + int(pps.has_bottom_order)}
-        for _ in range(deltas.get(self.sps.order_type, 0)):
+        for _ in range(deltas.get(sps.order_type, 0)):
             bits.se()
         if pps.has_redundant:
             bits.ue()
+        return SliceHeader(is_idr, is_reference, number, _references(bits, kind, pps), order)
 
 
 def _references(bits: BitReader, kind: int, pps: PictureParameters) -> int:

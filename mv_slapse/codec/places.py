@@ -190,10 +190,9 @@ class VopTime(Places):
         for code in range(0x20, 0x30):  # video_object_layer_start_code
             at = head.find(bytes([0, 0, 1, code]))
             if at >= 0:
-                try:
+                self._resolution = 0
+                with suppress(EOFError):
                     self._resolution = _resolution(_plain(head[at + 4:at + 80]))
-                except EOFError:
-                    self._resolution = 0
 
 
 def _seconds(bits: BitReader) -> int:
