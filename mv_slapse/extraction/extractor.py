@@ -367,10 +367,8 @@ class PlaneExtractor:
         track = self._memory.ground
         track = replace(track, mount=track.mount.learned(found.fit.t_cur_from_prev,
                                                          self._settings.ground_wobble))
-        if floor is None:
-            track = track.missed(prior)
-        else:
-            track = track.seen(floor.id, floor.plane, floor.covariance)
+        track = (track.missed(prior) if floor is None
+                 else track.seen(floor.id, floor.plane, floor.covariance))
         evidence = found.evidence
         still = evidence.has_depth & (found.moving.label != Label.MOVING.value) & ~found.doubtful
         past = self._memory.past_at(blank, found.fit, BaselineRatio(
