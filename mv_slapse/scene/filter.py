@@ -162,13 +162,12 @@ class SceneFilter:
         """Zero-velocity update: the pose stays exactly as it is, so nothing drifts."""
         state = self._state
         state.previous = state.current.copy()
-        if not self._progress.started:
-            return self._rested(extraction, STANDING)
-        scene_state.halt(state, np.zeros(3), np.eye(3) * 1e-4)
-        prev, cur = state.at('previous'), state.at('current')
-        state.error.P[prev, :] = state.error.P[cur, :]
-        state.error.P[:, prev] = state.error.P[:, cur]
-        state.error.lasting[prev] = state.error.lasting[cur]
+        if self._progress.started:
+            scene_state.halt(state, np.zeros(3), np.eye(3) * 1e-4)
+            prev, cur = state.at('previous'), state.at('current')
+            state.error.P[prev, :] = state.error.P[cur, :]
+            state.error.P[:, prev] = state.error.P[:, cur]
+            state.error.lasting[prev] = state.error.lasting[cur]
         return self._rested(extraction, STANDING)
 
     def _rested(self, extraction: Extraction, reason: str):
@@ -335,7 +334,8 @@ class SceneFilter:
             length = progress.carried and scene_ratio.baseline(self._state, extraction)
         if not length or ground is None:
             return 1.0
-        progress.told_metres()
+        if progress.waits_for_metres:  # others have to confirm what this ground tells
+            progress.told = progress.age
         self._grounds = self._grounds.seen(ground, length, self._settings)
         if progress.metric and not scene_gate.outlasts(progress.misses, ground.id):
             return 1.0

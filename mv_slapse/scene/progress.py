@@ -81,11 +81,6 @@ class Progress:
         self.refused = self.refused + 1 if compared and not told else 0
         return not told and not 0 < self.refused <= PATIENCE
 
-    def told_metres(self):
-        """Note that a ground tells metres, which others have to confirm, if they are awaited."""
-        if self.waits_for_metres:
-            self.told = self.age
-
     def publish(self, status: TrackingStatus, place: np.ndarray):
         """Note where the camera is said to be."""
         if status in WITH_POSE:
