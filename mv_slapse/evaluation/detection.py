@@ -104,6 +104,20 @@ def point_boxes(points: PointLabels) -> Table:
     return dict(zip(names, (columns[0].astype(np.int64), *columns[1:]), strict=True))
 
 
+def hold_movers(rows: Table, points: PointLabels) -> np.ndarray:
+    """Return which boxes (N,) bool hold more visible points of movers than of what stands.
+
+    Points seldom cover all of a mover: the box around them may be a small part of it.
+    """
+    found = np.zeros(len(rows['stamp']), bool)
+    frames = np.round(1e-9 * rows['stamp'] * points.fps).astype(int)
+    for i in np.flatnonzero(frames < points.tracks.shape[1]):
+        x, low, size = points.tracks[:, frames[i]], *np.split(boxes(rows)[i], 2)
+        inside = points.visible[:, frames[i]] & np.all((x >= low) & (x <= low + size), axis=1)
+        found[i] = np.sum(points.label[inside] > 1) > np.sum(points.label[inside] == 1)
+    return found
+
+
 def point_figures(labels: LabelTable, points: PointLabels) -> dict[str, Any]:
     """Return the figures of labelled points (``motion_labels.npz``)."""
     frame_stamps = np.round(np.arange(points.tracks.shape[1]) / points.fps * 1e9)

@@ -9,7 +9,14 @@ obstacle on the camera's way, its time to contact below BRAKES_FOR, where no mov
 from typing import Any, NamedTuple
 
 from mv_slapse.evaluation import tracking
-from mv_slapse.evaluation.detection import confirmed, MIN_MACROBLOCKS, select, Table
+from mv_slapse.evaluation.detection import (
+    confirmed,
+    hold_movers,
+    MIN_MACROBLOCKS,
+    PointLabels,
+    select,
+    Table,
+)
 from mv_slapse.storage.tum import Trajectory
 import numpy as np
 
@@ -45,8 +52,8 @@ class Hazard(NamedTuple):
     end: int
 
 
-def figures(obstacles: Table, stamps: np.ndarray, movers: Table | None,
-            course: Course) -> dict[str, Any]:
+def figures(obstacles: Table, stamps: np.ndarray, movers: Table | None, course: Course,
+            points: PointLabels | None = None) -> dict[str, Any]:
     """Return how many hazards are confirmed in time, and in how many key frames none is ahead.
 
     Parameters
@@ -57,6 +64,8 @@ def figures(obstacles: Table, stamps: np.ndarray, movers: Table | None,
     stamps : (F,) int
         Of all key frames [ns].
     course : Course
+    points : PointLabels or None
+        Where ``movers`` are the boxes around these: they tell better what an obstacle is on.
     """
     rows = confirmed(obstacles)
     found: dict[str, Any] = {}
@@ -65,6 +74,8 @@ def figures(obstacles: Table, stamps: np.ndarray, movers: Table | None,
         if 'aside' in movers:
             found = _hazards_met(movers, tracking.matched(rows, movers, frames))
         rows = select(rows, ~tracking.on_movers(rows, movers, frames))
+    if points is not None:
+        rows = select(rows, ~hold_movers(rows, points))
     brakes = rows['stamp'][braked_for(rows, course)]
     return found | {'false_braking_frames': len(np.unique(brakes)), 'frames_judged': len(stamps)}
 

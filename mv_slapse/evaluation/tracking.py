@@ -19,6 +19,7 @@ from mv_slapse.evaluation.detection import (
     Table,
 )
 from mv_slapse.evaluation.trajectory import associate
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.storage.tum import Trajectory
 import numpy as np
 
@@ -203,7 +204,7 @@ def _nees(rows: Table, movers: Table, matches: list[Match], scale: float,
 
 
 def on_movers(rows: Table, movers: Table, frames: dict[int, int]) -> np.ndarray:
-    """Return which rows (N,) bool of obstacles lie on a mover.
+    """Return which rows (N,) bool of obstacles lie on a mover, seen to a macroblock.
 
     Where none is visible the truth has no row at all.
     """
@@ -211,7 +212,8 @@ def on_movers(rows: Table, movers: Table, frames: dict[int, int]) -> np.ndarray:
     for stamp in np.unique(rows['stamp']):
         mine = rows['stamp'] == stamp
         there = select(movers, movers['stamp'] == frames.get(int(stamp), -1))
-        covered = _covered(boxes(select(rows, mine)), boxes(there))
+        outlines = boxes(there) + MACROBLOCK * np.array([-0.5, -0.5, 1.0, 1.0])
+        covered = _covered(boxes(select(rows, mine)), outlines)
         found[mine] = covered.max(axis=1, initial=0) >= ON_MOVER
     return found
 

@@ -103,9 +103,10 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None, marks: Mar
     known = results.is_metric or truth.trajectory is not None
     course = planner.Course(results.trajectory, scale if known else None)
     if boxes is None and annotation is None:  # those tell of one vehicle among others
-        movers = truth.movers if labels is None else detection.point_boxes(
-            _read_points(results, labels, marks.fps))
-        figures |= planner.figures(results.obstacles, results.labels.stamps, movers, course)
+        points = None if labels is None else _read_points(results, labels, marks.fps)
+        movers = truth.movers if points is None else detection.point_boxes(points)
+        figures |= planner.figures(results.obstacles, results.labels.stamps, movers, course,
+                                   points)
     if annotation is not None:
         figures |= annotations.figures(
             results.obstacles, int(results.labels.stamps.max(initial=0)), results.trajectory,

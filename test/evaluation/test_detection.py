@@ -141,3 +141,16 @@ def test_movers_have_boxes_around_their_visible_points():
     np.testing.assert_array_equal(found['id'], [2, 2, 3])
     np.testing.assert_array_equal(detection.boxes(found),
                                   [[10, 20, 20, 30], [12, 20, 20, 30], [91, 90, 0, 0]])
+
+
+@pytest.mark.parametrize(('moving', 'still', 'hidden', 'expected'), [
+    (3, 2, 0, True), (2, 2, 0, False), (0, 0, 3, False), (1, 0, 0, True)])
+def test_a_box_holds_a_mover_where_most_visible_points_move(moving, still, hidden, expected):
+    label = np.repeat([2, 1, 2, 3], [moving, still, hidden, 4])
+    places = np.where(label == 3, 500.0, 50.0)[:, None, None]  # the last mover is elsewhere
+    visible = np.repeat([True, True, False, True], [moving, still, hidden, 4])[:, None]
+    points = PointLabels(np.broadcast_to(places, (len(label), 2, 2)),
+                         np.broadcast_to(visible, (len(label), 2)), label, 10.0)
+    rows = {'stamp': np.array([100_000_000, 200_000_000]), 'x': np.full(2, 40.0),
+            'y': np.full(2, 40.0), 'width': np.full(2, 16.0), 'height': np.full(2, 16.0)}
+    np.testing.assert_array_equal(detection.hold_movers(rows, points), [expected, False])

@@ -1,6 +1,7 @@
 """Figures of a planner, by a car that the camera nears at 5 m/s: a key frame each 0.1 s."""
 
 from mv_slapse.evaluation import planner
+from mv_slapse.evaluation.detection import PointLabels
 from mv_slapse.storage.tum import Trajectory
 import numpy as np
 import pytest
@@ -103,3 +104,13 @@ def test_boxes_alone_tell_what_is_no_false_braking():
     found = figures(table(range(1, N)), boxes)
     assert 'hazards' not in found
     assert found['false_braking_frames'] == 0
+
+
+@pytest.mark.parametrize(('label', 'expected'), [(2, 0), (1, 10)])
+def test_where_the_truth_has_points_these_tell_what_an_obstacle_is_on(label, expected):
+    frames = range(N - 10, N)
+    at = np.broadcast_to([40.0, 30.0], (1, N, 2))
+    points = PointLabels(at, np.ones((1, N), bool), np.array([label]), 10.0)
+    small = movers(frames, width=2.0, height=2.0)
+    found = planner.figures(table(frames), STAMPS, small, COURSE, points)
+    assert found['false_braking_frames'] == expected

@@ -85,6 +85,13 @@ def test_a_part_of_a_mover_is_not_false_and_a_large_box_around_it_is():
     assert figures(large)['false_obstacles_per_frame'] == 1
 
 
+def test_who_is_narrower_than_a_macroblock_is_seen_to_a_macroblock():
+    rows = table([(k, 5, 32) for k in range(N)])
+    person, post = (movers(width=np.full(N, width), x=np.full(N, 58.0)) for width in (12.0, 2.0))
+    assert figures(rows, person)['false_obstacles_per_frame'] == 0
+    assert figures(rows, post)['false_obstacles_per_frame'] == 1
+
+
 def test_obstacles_are_false_where_no_mover_is_visible():
     rows = [(k, 5, 32) for k in range(N)]
     assert figures(table(rows), movers(range(6)))['false_obstacles_per_frame'] == 14 / N
