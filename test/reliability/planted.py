@@ -71,7 +71,7 @@ PLANTED = tuple((f'mv_slapse/{path}', old, new, tests) for path, old, new, tests
      'self._damage = frame.damage', SEGMENTS),
     ('codec/decoder.py', 'if can_bridge(segment) and not segment.is_torn else None',
      'if can_bridge(segment) else None', SEGMENTS),
-    ('codec/source.py', 'LOCAL if is_local else PROTOCOLS', "LOCAL + ',' + PROTOCOLS", SOURCE),
+    ('codec/source.py', 'LOCAL if protocol == LOCAL else PROTOCOLS', "LOCAL + ',' + PROTOCOLS", SOURCE),
     ('codec/source.py', 'str(Path(name).absolute())', 'name', SOURCE),
     ('storage/yaml_files.py', 'if self.check_event(yaml.AliasEvent):', 'if False:', YAML),
     ('storage/yaml_files.py', 'if self._depth > DEEPEST:', 'if False:', YAML),
