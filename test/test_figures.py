@@ -80,6 +80,12 @@ def test_hazards_are_those_of_the_figures():
         'hazards', 'hazards_in_time', 'hazards_missed'))
 
 
+def test_false_braking_is_that_of_the_rows():
+    brakes, judged = (sum(int(row[name] or 0) for row in ROWS.values())
+                      for name in ('false_braking_frames', 'frames_judged'))
+    assert f'Over all rows it is {brakes} of {judged} key frames' in FIGURES
+
+
 def test_the_cost_of_encoding_again_is_told_alike():
     readme, encoders = (' '.join(text.split()) for text in (
         README, (ROOT / 'docs' / 'encoders.md').read_text()))
