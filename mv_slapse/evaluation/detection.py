@@ -111,9 +111,10 @@ def hold_movers(rows: Table, points: PointLabels) -> np.ndarray:
     """
     found = np.zeros(len(rows['stamp']), bool)
     frames = np.round(1e-9 * rows['stamp'] * points.fps).astype(int)
-    for i in np.flatnonzero(frames < points.tracks.shape[1]):
-        x, low, size = points.tracks[:, frames[i]], *np.split(boxes(rows)[i], 2)
-        inside = points.visible[:, frames[i]] & np.all((x >= low) & (x <= low + size), axis=1)
+    low, size = np.split(boxes(rows), 2, axis=1)
+    for i in np.flatnonzero((frames >= 0) & (frames < points.tracks.shape[1])):
+        x, visible = points.tracks[:, frames[i]], points.visible[:, frames[i]]
+        inside = visible & np.all((x >= low[i]) & (x <= low[i] + size[i]), axis=1)
         found[i] = np.sum(points.label[inside] > 1) > np.sum(points.label[inside] == 1)
     return found
 
