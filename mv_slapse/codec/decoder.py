@@ -21,6 +21,7 @@ import numpy as np
 LEARNING = 0.1  # share of the newest segment in p: what ten segments tell is not of one picture
 POOR = 0.5  # share of the usual matches at which an I frame's B frames have told too little
 UNTRUE = 'all motion vectors are zero, but the pictures change: the encoder did not search'
+SPLIT_FOCAL = 500.0  # px, focal length for which split_flow is meant; a longer one sees more pixels
 RIGHT = 0.05, 0.99  # bounds of p, where Lemma 2 still has a value
 
 
@@ -35,6 +36,8 @@ class CorrespondenceDecoder:
         ``bridge_intra`` leaves the pictures out.
         """
         self._settings, self._on_picture = settings, on_picture
+        longer = max(camera.K[0, 0] / SPLIT_FOCAL, 1) if camera else 1
+        self._long = settings.split_flow * longer
         self._chainer = Chainer(settings, camera)
         self._strips = StripCutter(settings, camera)
         self._frames = FrameDecoder(settings.bridge_intra, self._strips.reach > 0)
@@ -93,7 +96,7 @@ class CorrespondenceDecoder:
             right = self._right + LEARNING * (p - self._right)
             self._right = min(max(right, RIGHT[0]), RIGHT[1])
         late = segment.current.stamp - segment.previous.stamp > settings.max_chain_time * 1e9
-        short = not late and len(whole) and median_flow(whole) < settings.split_flow
+        short = not late and len(whole) and median_flow(whole) < self._long
         if short or not segment.between:
             return [whole]
         parts = []
