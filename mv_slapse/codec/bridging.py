@@ -63,7 +63,7 @@ def search(segment: Segment, expect: MotionPrior, settings: DecoderSettings) -> 
     there, found = _follow(current, previous, x, start)
     inside = ((there >= 0) & (there < (segment.current.width, segment.current.height))).all(axis=1)
     x, there = x[found & inside], there[found & inside]
-    back, returned = _follow(previous, current, there, x)
+    back, returned = _follow(previous, current, there, x, 0)
     good = returned & (np.abs(back - x).max(axis=1) < RETURN)
     n = np.count_nonzero(good)
     return Evidence(x[good], there[good] - x[good],
@@ -76,11 +76,11 @@ def _centres(width: int, height: int) -> np.ndarray:
     return (MACROBLOCK * grid + (MACROBLOCK - 1) / 2).astype(np.float32)
 
 
-def _follow(a: np.ndarray, b: np.ndarray, x: np.ndarray, start: np.ndarray):
+def _follow(a: np.ndarray, b: np.ndarray, x: np.ndarray, start: np.ndarray, levels: int = LEVELS):
     """Return where in b the macroblocks at x (N, 2) of a are, and which (N,) bool were found."""
     if not len(x):
         return x, np.zeros(0, bool)
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         a, b, x[:, None], start[:, None].copy(), winSize=(MACROBLOCK + 1, MACROBLOCK + 1),
-        maxLevel=LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=FLAT)
+        maxLevel=levels, flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=FLAT)
     return there[:, 0], found[:, 0] > 0

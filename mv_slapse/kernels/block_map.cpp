@@ -100,31 +100,34 @@ class View {
     double square;  // of the distance [px^2]
     const Item* item;
   };
-  // The points within REACH of a pixel, the CLOSE nearest of them first, in that order.
-  void near(double x, double y, std::vector<Near>& out) const {
+  // Writes the points within REACH of a pixel, the CLOSE nearest of them first, in that order, and
+  // returns their number; what follows them there means nothing.
+  std::size_t near(double x, double y, std::vector<Near>& out) const {
     const int column = Picture::cell_of(x) + MARGIN, row = Picture::cell_of(y) + MARGIN;
     const int left = std::max(column - MARGIN, 0), right = std::min(column + MARGIN, columns_ - 1);
     std::size_t n = 0;
     for (int r = std::max(row - MARGIN, 0); left <= right && r <= std::min(row + MARGIN, rows_ - 1); ++r) {
       const int first = start_[r * columns_ + left], last = start_[r * columns_ + right + 1];
-      out.resize(std::max(out.size(), n + (last - first) + 1));
+      if (out.size() < n + (last - first) + 1) out.resize(2 * (n + (last - first) + 1));
       for (int i = first; i < last; ++i) {  // half of them are within: a branch is guessed wrong
         const double dx = items_[i].x - x, dy = items_[i].y - y, square = dx * dx + dy * dy;
         out[n] = {square, &items_[i]};
         n += square < REACH * REACH;
       }
     }
-    out.resize(n);
     for (std::size_t i = 1; i < n; ++i) {
       // The place of the last of the nearest is free for it, or nothing moves.
+      const Near one = out[i];
       std::size_t k = i;
       if (k >= CLOSE) {
-        if (!(out[k].square < out[CLOSE - 1].square)) continue;
-        std::swap(out[k], out[CLOSE - 1]);
         k = CLOSE - 1;
+        if (!(one.square < out[k].square)) continue;
+        out[i] = out[k];
       }
-      for (; k > 0 && out[k].square < out[k - 1].square; --k) std::swap(out[k], out[k - 1]);
+      for (; k > 0 && one.square < out[k - 1].square; --k) out[k] = out[k - 1];
+      out[k] = one;
     }
+    return n;
   }
   static constexpr std::size_t CLOSE = 4;
 
@@ -143,40 +146,58 @@ struct Interpolation {
   double same, spread, roughness, slack;
 };
 
+// Sums over points near a pixel, four at a time.
+struct PlaneSums {
+  Four weight = {}, variance = {}, x = {}, y = {}, xx = {}, xy = {}, yy = {};
+  Four rho = {}, rho_x = {}, rho_y = {};
+  Four count = {}, around = {}, count_around = {};  // around: of those beyond the CLOSE nearest
+};
+
 // Inverse depth at a pixel by the plane through the points around it that lie on one surface.
-Known interpolated(const std::vector<View::Near>& near, double x, double y,
+KERNELS_WIDE
+Known interpolated(const View::Near* near, std::size_t n, double x, double y,
                    const Interpolation& is) {
+  static_assert(View::CLOSE == LANES);
   const Known none{0, INFINITE, 0};
-  if (near.size() < View::CLOSE) return none;
+  if (n < View::CLOSE) return none;
   const double p0 = near[0].item->rho, p1 = near[1].item->rho, p2 = near[2].item->rho;
   const double reference = std::max(std::min(p0, p1), std::min(std::max(p0, p1), p2));
   const double same = is.same * std::abs(reference), rough = is.roughness * reference;
-  double total = 0, variance = 0, around = 0, A[9] = {}, b[3] = {};
-  int n = 0, n_around = 0;
-  for (std::size_t k = 0; k < near.size(); ++k) {
-    const View::Item& p = *near[k].item;
-    if (!(std::abs(p.rho - reference) < same + p.slack)) continue;
-    const double far = 1 + near[k].square / (is.spread * is.spread);
-    const double weight = 1 / (far * far * (p.variance + rough * rough + 1e-12));
-    const double d[3] = {1, (p.x - x) / MACROBLOCK, (p.y - y) / MACROBLOCK};
-    for (int i = 0; i < 3; ++i) {
-      for (int j = 0; j <= i; ++j) A[3 * i + j] += weight * d[i] * d[j];
-      b[i] += weight * d[i] * p.rho;
+  const Four zero = {}, one = zero + 1;
+  PlaneSums sums;
+  for (std::size_t k = 0; k < n; k += LANES) {
+    Four px, py, rho, variance, slack, square;
+    for (std::size_t j = 0; j < LANES; ++j) {
+      const bool is_there = k + j < n;
+      const View::Near& point = near[is_there ? k + j : k];
+      px[j] = point.item->x, py[j] = point.item->y;
+      rho[j] = point.item->rho, variance[j] = point.item->variance, square[j] = point.square;
+      slack[j] = is_there ? point.item->slack : -INFINITE;
     }
-    total += weight;
-    variance += weight * p.variance;
-    ++n;
-    if (k >= View::CLOSE) around += p.rho, ++n_around;
+    const Four off = rho - reference, within = slack + same;
+    const Four on = (off < within) & (-off < within) ? one : zero;
+    const Four far = square / (is.spread * is.spread) + 1;
+    const Four weight = on / (far * far * (variance + (rough * rough + 1e-12)));
+    const Four dx = (px - x) / MACROBLOCK, dy = (py - y) / MACROBLOCK;
+    const Four weight_x = weight * dx, weight_y = weight * dy;
+    sums.weight += weight, sums.variance += weight * variance;
+    sums.x += weight_x, sums.y += weight_y;
+    sums.xx += weight_x * dx, sums.xy += weight_x * dy, sums.yy += weight_y * dy;
+    sums.rho += weight * rho, sums.rho_x += weight_x * rho, sums.rho_y += weight_y * rho;
+    sums.count += on;
+    if (k) sums.around += on * rho, sums.count_around += on;
   }
-  if (n < static_cast<int>(View::CLOSE)) return none;
-  const double mean = b[0] / total;
-  for (auto& a : A) a /= total;
-  for (auto& a : b) a /= total;
-  A[4] += 0.05, A[8] += 0.05;  // square of the slope that a few points in a row leave open
+  if (sum(sums.count) < View::CLOSE) return none;
+  const double total = sum(sums.weight), mean = sum(sums.rho) / total;
+  // 0.05: square of the slope that a few points in a row leave open
+  double A[9] = {1, 0, 0, sum(sums.x) / total, sum(sums.xx) / total + 0.05, 0,
+                 sum(sums.y) / total, sum(sums.xy) / total, sum(sums.yy) / total + 0.05};
+  double b[3] = {mean, sum(sums.rho_x) / total, sum(sums.rho_y) / total};
   if (!cholesky(A, 3)) return none;
   cholesky_solve(A, 3, b);
   if (!(std::abs(b[0] - mean) < is.slack * std::abs(mean))) return none;
-  return {b[0], variance / total, n_around >= 2 ? around / n_around : mean};
+  const double others = sum(sums.count_around);
+  return {b[0], sum(sums.variance) / total, others >= 2 ? sum(sums.around) / others : mean};
 }
 
 py::array_t<double> map_at(const py::object& points_, const py::object& x_, const py::object& K,
@@ -189,8 +210,8 @@ py::array_t<double> map_at(const py::object& points_, const py::object& x_, cons
   Out<double> out({x.size(), 3});
   std::vector<View::Near> near;
   for (py::ssize_t i = 0; i < x.size(); ++i) {
-    view.near(x(i, 0), x(i, 1), near);
-    const Known known = interpolated(near, x(i, 0), x(i, 1), how);
+    const std::size_t n = view.near(x(i, 0), x(i, 1), near);
+    const Known known = interpolated(near.data(), n, x(i, 0), x(i, 1), how);
     out(i, 0) = known.rho, out(i, 1) = known.variance, out(i, 2) = known.smooth;
   }
   return out.array();
