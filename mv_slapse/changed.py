@@ -14,9 +14,14 @@ def replace(record, **fields):
     TypeError
         Where the record has no such field.
     """
-    if hasattr(record, '__post_init__') or not fields.keys() <= vars(record).keys():
+    changed = object.__new__(type(record))
+    values = changed.__dict__
+    values.update(record.__dict__)
+    n = len(values)
+    values.update(fields)
+    if len(values) > n or hasattr(record, '__post_init__'):
         return checked(record, **fields)
-    return unchecked(record, **fields)
+    return changed
 
 
 def unchecked(record, **fields):
