@@ -22,7 +22,7 @@ KERNELS_INLINE Four broadcast(double x) { return Four{} + x; }
 constexpr int STEP = static_cast<int>(LANES);
 
 struct Policy {
-  double cut, max_excess, max_blur, roughness, density, vague, fading;  // of planes
+  double cut, max_excess, max_blur, roughness, vague, fading;  // of planes
   double least, cap, lean, dependence, reach, upright_gate, noise_least;  // of windows
   double same_gate, min_macroblocks;
   int judged;
@@ -30,7 +30,7 @@ struct Policy {
   explicit Policy(const py::dict& d)
       : cut(policy(d, "cut")), max_excess(policy(d, "max_excess")),
         max_blur(policy(d, "max_blur")), roughness(policy(d, "roughness")),
-        density(policy(d, "density")), vague(policy(d, "vague")), fading(policy(d, "fading")),
+        vague(policy(d, "vague")), fading(policy(d, "fading")),
         least(policy(d, "least")), cap(policy(d, "cap")), lean(policy(d, "lean")),
         dependence(policy(d, "dependence")), reach(policy(d, "reach")),
         upright_gate(policy(d, "upright_gate")), noise_least(policy(d, "noise_least")),
@@ -184,7 +184,6 @@ struct Window {
   int count;                     // blocks
   bool is_tall;
   int judged;  // blocks
-  double centre[2];
   Vec3 plane;
   double cost;
 
@@ -227,7 +226,7 @@ class Search {
   std::vector<int> together(const std::vector<double>& gain);
   void see_again(const std::vector<Gaussian>& known, const std::vector<int>& seen);
   void find_new(int room);
-  Gaussian grown(const Window& window, int first, int last) const;
+  Gaussian grown(const Window& window, const double* centre, int first, int last) const;
   int first_from(int column) const {
     return cell_begin_[std::clamp(column, 0, cells_.columns) * cells_.rows];
   }
@@ -235,7 +234,6 @@ class Search {
   void share_out(const std::vector<Gaussian>& known, const std::vector<int>& seen);
   double more(const std::vector<int>& part, const std::vector<double>& gain) const;
   bool is_plane(const Track& track, const std::vector<int>& part);
-  double share_of_outline(const std::vector<int>& part);
   double least_gain() const { return 1.4 * is_.max_excess * is_.min_macroblocks; }
 
   const Policy& is_;
@@ -250,7 +248,6 @@ class Search {
   std::vector<int> best_, judges_, asked_;
   int now_ = 0;
   std::vector<double> worse_;
-  std::vector<unsigned char> outline_, wider_;
   std::vector<Track> found_;
   std::vector<std::vector<int>> parts_;
 };
@@ -311,10 +308,6 @@ void Search::tile(int wide, int high, bool is_tall) {
         window.count += run.last - run.first;
       }
       if (window.count < is_.least) continue;
-      for (const Run& run : window)
-        for (int k = run.first; k < run.last; ++k)
-          window.centre[0] += x_[k], window.centre[1] += y_[k];
-      for (double& centre : window.centre) centre /= window.count;
       windows_.push_back(window);
     }
 }
@@ -488,11 +481,10 @@ void Search::see_again(const std::vector<Gaussian>& known, const std::vector<int
 }
 
 // Fits a window's plane to all blocks in reach, so that it settles on a whole surface.
-Gaussian Search::grown(const Window& window, int first, int last) const {
+Gaussian Search::grown(const Window& window, const double* centre, int first, int last) const {
   Gaussian out{window.plane, {}};
   for (const double softness : {0.25, 1.0, 1.0}) {
-    Equations e = equations_near(blocks_, x_.data(), y_.data(), {first, last}, window.centre,
-                                 is_.reach, out.plane, softness);
+    Equations e = equations_near(blocks_, x_.data(), y_.data(), {first, last}, centre, is_.reach, out.plane, softness);
     e.ridge(10 * std::numeric_limits<double>::epsilon());
     if (!inverse(e.A, out.covariance)) break;
     out.plane = out.covariance * e.b;
@@ -523,16 +515,19 @@ void Search::find_new(int room) {
   for (const int w : judges_) {
     const Window& window = windows_[w];
     int vacant = 0;
-    for (const Run& run : window)
+    double centre[2] = {};
+    for (const Run& run : window) {
+      for (int k = run.first; k < run.last; ++k) centre[0] += x_[k], centre[1] += y_[k];
       vacant += static_cast<int>(std::count(&explained[run.first], &explained[run.last], 0.0));
+    }
     if (2 * vacant <= window.count) continue;
+    for (double& mean : centre) mean /= window.count;
     const int first = first_from(window.column - reach),
               last = first_from(window.column + WIDEST + reach);
-    Track track{grown(window, first, last), -1, 1, {}, first, last};
+    Track track{grown(window, centre, first, last), -1, 1, {}, first, last};
     gain_of(track.now.plane, first, last, track.gain);
     for (int i = first; i < last; ++i)
-      if (std::abs(x_[i] - window.centre[0]) >= is_.reach ||
-          std::abs(y_[i] - window.centre[1]) >= is_.reach)
+      if (std::abs(x_[i] - centre[0]) >= is_.reach || std::abs(y_[i] - centre[1]) >= is_.reach)
         track.gain[i] = 0;
     for (int i = first; i < last; ++i) explained[i] = std::max(explained[i], track.gain[i]);
     proposed.push_back(std::move(track));
@@ -588,35 +583,11 @@ void Search::share_out(const std::vector<Gaussian>& known, const std::vector<int
   }
 }
 
-// Which share of the blocks in a plane's outline is its own; the outline has no gaps of a cell.
-double Search::share_of_outline(const std::vector<int>& part) {
-  const int wide = cells_.columns + 4, high = cells_.rows + 4;
-  outline_.assign(wide * high, 0);
-  const auto cell = [&](int i) { return (cells_.row[i] + 2) * wide + cells_.column[i] + 2; };
-  for (const int i : part) outline_[cell(i)] = 1;
-  for (const bool grow : {true, false}) {  // dilation, then erosion, by 3 x 3 cells
-    wider_.assign(wide * high, 0);
-    for (int k = wide + 1; k < wide * (high - 1) - 1; ++k) {
-      int near = 0;
-      for (const int row : {-wide, 0, wide})
-        near += outline_[k + row - 1] + outline_[k + row] + outline_[k + row + 1];
-      wider_[k] = grow ? near > 0 : near == 9;
-    }
-    outline_.swap(wider_);
-  }
-  int inside = 0;
-  for (int i = 0; i < blocks_.n; ++i) inside += outline_[cell(i)];
-  int own = 0;
-  for (const int i : part) own += outline_[cell(i)];
-  return inside ? static_cast<double>(own) / inside : 0.0;
-}
-
-// Tells whether what remains of a plane is one: large, dense and well known.
+// Tells whether what remains of a plane is one: large and well known.
 bool Search::is_plane(const Track& track, const std::vector<int>& part) {
   const double least = is_.min_macroblocks * (track.before < 0 ? 1.0 : is_.fading);
   return components_.count(part) >= least &&
-         std::sqrt(trace(track.now.covariance)) < is_.vague * norm(track.now.plane) &&
-         share_of_outline(part) >= is_.density;
+         std::sqrt(trace(track.now.covariance)) < is_.vague * norm(track.now.plane);
 }
 
 std::vector<Track> Search::chosen(const std::vector<Gaussian>& known,
