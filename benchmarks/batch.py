@@ -19,15 +19,15 @@ import sys
 import time
 from typing import Any
 
-from mv_slapse.batch import scheduling, task
-from mv_slapse.batch.manifest import Recording
-from mv_slapse.batch.workers import open_pool, Workers
 from mv_slapse.codec.encoding.encoder import Encoding, write_video
 from mv_slapse.config import SceneSettings, Settings
 from mv_slapse.simulation.street import Street, StreetSettings
 from mv_slapse.simulation.truth import film
 from mv_slapse.storage.camera_info import read_camera, write_camera
 from mv_slapse.tools import run as running
+from mv_slapse.tools.batch import scheduling, task
+from mv_slapse.tools.batch.manifest import Recording
+from mv_slapse.tools.batch.workers import open_pool, Workers
 import numpy as np
 import psutil
 

@@ -20,7 +20,6 @@ from typing import Any
 
 import compare_page
 import departures
-from mv_slapse.batch.workers import open_pool, Workers
 from mv_slapse.config import Settings
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.evaluation import consistency, detection, planes, tracking, trajectory
@@ -30,6 +29,7 @@ from mv_slapse.records import Label
 from mv_slapse.storage.tum import Trajectory
 from mv_slapse.tools import cases
 from mv_slapse.tools import evaluate as evaluation
+from mv_slapse.tools.batch.workers import open_pool, Workers
 from mv_slapse.tools.cases import Case, Scene
 from mv_slapse.tools.eval import evaluate, Marks, read_results
 from mv_slapse.tools.inputs import pictures

@@ -69,7 +69,8 @@ def test_no_function_has_more_than_six_parameters(path):
 
 
 def folder_of(path: Path) -> str:
-    return path.relative_to(PACKAGE).with_suffix('').parts[0]
+    parts = path.relative_to(PACKAGE).with_suffix('').parts
+    return 'batch' if parts[:2] == ('tools', 'batch') else parts[0]
 
 
 def module_of(path: Path) -> str:

@@ -21,7 +21,7 @@ import numpy as np
 LEARNING = 0.1  # share of the newest segment in p: what ten segments tell is not of one picture
 POOR = 0.5  # share of the usual matches at which an I frame's B frames have told too little
 UNTRUE = 'all motion vectors are zero, but the pictures change: the encoder did not search'
-SPLIT_FOCAL = 500.0  # px, focal length for which split_flow is meant; a longer one sees more pixels
+SPLIT_FOCAL = 500.0  # px, focal length that split_flow is meant for; a longer one needs more
 RIGHT = 0.05, 0.99  # bounds of p, where Lemma 2 still has a value
 
 

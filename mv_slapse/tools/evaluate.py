@@ -12,9 +12,9 @@ import subprocess  # to ask git for the commit  # nosec B404
 import sys
 from typing import Any
 
-from mv_slapse.batch.workers import Workers
 from mv_slapse.tools import cases
 from mv_slapse.tools.altered import altered
+from mv_slapse.tools.batch.workers import Workers
 from mv_slapse.tools.cases import Scene
 from mv_slapse.tools.results_page import page, rows_as_csv
 from mv_slapse.tools.rows import Cache, Figures, measure_all, state_of_code

@@ -245,8 +245,8 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _batch(args: argparse.Namespace) -> int:
-    from mv_slapse.tools import batch
-    return batch.main(args, _settings(args))
+    from mv_slapse.tools import batch_command
+    return batch_command.main(args, _settings(args))
 
 
 def _eval(args: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 
-from mv_slapse.batch import page
+from mv_slapse.tools.batch import page
 import pytest
 
 pytest.importorskip('distributed')
@@ -61,7 +61,8 @@ def test_a_table_is_run_once_and_told(call, table, tmp_path, monkeypatch):
     content = json.loads(text)
     assert [row['status'] for row in content['rows']] == ['done'] * 3
     assert before == {name: (out / name / 'row.json').stat().st_mtime_ns for name in before}
-    monkeypatch.setattr('mv_slapse.tools.batch.open_pool', None)  # there is nothing left to run
+    # there is nothing left to run
+    monkeypatch.setattr('mv_slapse.tools.batch_command.open_pool', None)
     assert call('batch', table, '-o', out, '--quiet') == (0, '', '')
 
 
@@ -105,9 +106,9 @@ def test_a_scheduler_of_somebody_does_the_same_until_it_is_lost(call, table, cli
     for name in ('trajectory.tum', 'planes.csv', 'obstacles.csv', 'labels.npz'):
         assert (out / 'all' / name).read_bytes() == (clip.out / name).read_bytes()
     run_all = _lost_after_one(process)
-    monkeypatch.setattr('mv_slapse.tools.batch.scheduling.run_all', run_all)
+    monkeypatch.setattr('mv_slapse.tools.batch_command.scheduling.run_all', run_all)
     # so that it is asked, too, how many workers there are, as on a busy machine
-    monkeypatch.setattr('mv_slapse.batch.workers.RECENT', 0.0)
+    monkeypatch.setattr('mv_slapse.tools.batch.workers.RECENT', 0.0)
     code, text, err = call('batch', table, '-o', tmp_path / 'lost', '--scheduler', address,
                           '--no-report')
     assert code == 3
@@ -122,7 +123,7 @@ def test_a_scheduler_of_somebody_does_the_same_until_it_is_lost(call, table, cli
 
 def _lost_after_one(process):
     """Return ``run_all``, during which the scheduler ends after the first row."""
-    from mv_slapse.batch import scheduling
+    from mv_slapse.tools.batch import scheduling
     given = scheduling.run_all
 
     def run_all(items, output, pool):

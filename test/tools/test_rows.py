@@ -3,10 +3,10 @@
 from functools import partial
 import json
 
-from mv_slapse.batch.workers import Workers
 from mv_slapse.config import Settings
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.tools import cases, rows
+from mv_slapse.tools.batch.workers import Workers
 from mv_slapse.tools.run import decode, replay, run
 import pytest
 

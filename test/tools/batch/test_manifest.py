@@ -5,9 +5,9 @@ import os
 from pathlib import Path
 import shutil
 
-from mv_slapse.batch.manifest import Recording, recordings
 from mv_slapse.config import Settings
 from mv_slapse.errors import MvSlapseError, UsageError
+from mv_slapse.tools.batch.manifest import Recording, recordings
 import pytest
 
 PLAIN = Recording('')

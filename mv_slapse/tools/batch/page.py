@@ -10,13 +10,13 @@ from string import Template
 from typing import Any
 
 from matplotlib.figure import Figure
-from mv_slapse.batch.summary import COLUMNS
-from mv_slapse.batch.task import DONE, Row
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.evaluation import trajectory
 from mv_slapse.evaluation.truth import read_truth
 from mv_slapse.storage import whole_files
 from mv_slapse.storage.tum import read_trajectory
+from mv_slapse.tools.batch.summary import COLUMNS
+from mv_slapse.tools.batch.task import DONE, Row
 from mv_slapse.tools.page import image, png
 import numpy as np
 

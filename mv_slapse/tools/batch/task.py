@@ -16,8 +16,6 @@ import shlex
 import shutil
 from typing import Any
 
-from mv_slapse.batch.manifest import Recording
-from mv_slapse.batch.workers import worker_address
 from mv_slapse.config import Settings
 from mv_slapse.errors import MvSlapseError, UnusableInput, UnusableOutput
 from mv_slapse.storage import whole_files
@@ -26,6 +24,8 @@ from mv_slapse.storage.tables import OBSTACLES_HEADER, read_table
 from mv_slapse.storage.tum import read_trajectory
 from mv_slapse.tools import run as running
 from mv_slapse.tools import run_summary
+from mv_slapse.tools.batch.manifest import Recording
+from mv_slapse.tools.batch.workers import worker_address
 from mv_slapse.tools.eval import evaluate
 from mv_slapse.tools.history import History
 from mv_slapse.tools.inputs import read_speeds
@@ -37,7 +37,7 @@ TRIES = 3  # the first, and two more where its worker dies
 DONE, LOST, FAILED, LEFT = 'done', 'lost', 'failed', 'not run'
 FAULT, TRACKING_LOST, DIED = 1, 4, 6  # exit codes of a row, beside those of errors
 SOURCES = ('.py', '.cpp', '.hpp')
-NO_PART = ('nodes', 'launch', 'simulation', 'batch')  # of what gives a run's results
+NO_PART = {'nodes', 'launch', 'simulation', 'batch'}  # of what gives a run's results
 SOON = 3.0  # s, time to contact of an obstacle that counts as a hazard
 
 Row = dict[str, Any]
@@ -77,10 +77,10 @@ def run_recording(recording: Recording, output: str, call: str) -> Row:
 @cache
 def code() -> str:
     """Return a name of the code that runs: other files of the core give it another one."""
-    package = Path(__file__).resolve().parents[1]
+    package = Path(__file__).resolve().parents[2]
     digest = sha256()
     for path in sorted(package.rglob('*')):
-        if path.suffix in SOURCES and path.relative_to(package).parts[0] not in NO_PART:
+        if path.suffix in SOURCES and NO_PART.isdisjoint(path.relative_to(package).parts):
             digest.update(str(path.relative_to(package)).encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 

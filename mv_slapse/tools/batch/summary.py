@@ -6,8 +6,8 @@ import csv
 from pathlib import Path
 from typing import Any
 
-from mv_slapse.batch.task import DONE, FAILED, LEFT, LOST, Row
 from mv_slapse.storage import whole_files
+from mv_slapse.tools.batch.task import DONE, FAILED, LEFT, LOST, Row
 
 COLUMNS = ('name', 'input', 'swept', 'status', 'exit_code', 'reason', 'duration_s', 'frames',
            'way', 'key_frames', 'poses', 'lost_percent', 'scale', 'scale_source', 'planes',

@@ -10,11 +10,11 @@ import signal
 import sys
 from typing import Any
 
-from mv_slapse.batch import page, scheduling, summary, task
-from mv_slapse.batch.manifest import Recording, recordings
-from mv_slapse.batch.task import Row
-from mv_slapse.batch.workers import open_pool, Pool, require_dask, UnusableCluster, Workers
 from mv_slapse.config import Settings
+from mv_slapse.tools.batch import page, scheduling, summary, task
+from mv_slapse.tools.batch.manifest import Recording, recordings
+from mv_slapse.tools.batch.task import Row
+from mv_slapse.tools.batch.workers import open_pool, Pool, require_dask, UnusableCluster, Workers
 from mv_slapse.tools.plain import plain
 from tqdm import tqdm
 

@@ -4,10 +4,10 @@ import os
 from pathlib import Path
 import signal
 
-from mv_slapse.batch import scheduling, task
-from mv_slapse.batch.manifest import Recording
-from mv_slapse.batch.workers import open_pool, Workers
 from mv_slapse.errors import UsageError
+from mv_slapse.tools.batch import scheduling, task
+from mv_slapse.tools.batch.manifest import Recording
+from mv_slapse.tools.batch.workers import open_pool, Workers
 import pytest
 
 

@@ -6,14 +6,14 @@ import pytest
 
 pytest.importorskip('distributed')
 
-from mv_slapse.batch.manifest import Recording, recordings  # noqa: E402
-from mv_slapse.batch.task import code  # noqa: E402
-from mv_slapse.batch.workers import open_pool, Workers  # noqa: E402
 from mv_slapse.codec.encoding.encoder import Encoding, write_video  # noqa: E402
 from mv_slapse.config import SceneSettings, Settings  # noqa: E402
 from mv_slapse.simulation.street import Street, StreetSettings  # noqa: E402
 from mv_slapse.simulation.truth import film  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
+from mv_slapse.tools.batch.manifest import Recording, recordings  # noqa: E402
+from mv_slapse.tools.batch.task import code  # noqa: E402
+from mv_slapse.tools.batch.workers import open_pool, Workers  # noqa: E402
 
 STREET = StreetSettings(seed=3, n_frames=12, fps=15.0, width=320, height=240, focal=250.0,
                         movers=())

@@ -6,9 +6,9 @@ import signal
 from threading import Thread
 import time
 
-from mv_slapse.batch import workers
-from mv_slapse.batch.workers import MissingDask, open_pool, UnusableCluster, Workers
 from mv_slapse.errors import UsageError
+from mv_slapse.tools.batch import workers
+from mv_slapse.tools.batch.workers import MissingDask, open_pool, UnusableCluster, Workers
 import psutil
 import pytest
 

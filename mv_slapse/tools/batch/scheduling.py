@@ -7,12 +7,12 @@ from pathlib import Path
 import shutil
 import uuid
 
-from mv_slapse.batch import task
-from mv_slapse.batch.manifest import Recording
-from mv_slapse.batch.task import Row
-from mv_slapse.batch.workers import died, Pool
 from mv_slapse.errors import MvSlapseError, UsageError
 from mv_slapse.storage import whole_files
+from mv_slapse.tools.batch import task
+from mv_slapse.tools.batch.manifest import Recording
+from mv_slapse.tools.batch.task import Row
+from mv_slapse.tools.batch.workers import died, Pool
 
 #: tasks that the scheduler holds, so that this process stays small and no worker waits for it
 AT_ONCE, FOR_EACH_THREAD = 64, 4

@@ -3,8 +3,8 @@
 from dataclasses import replace
 import json
 
-from mv_slapse.batch import task
 from mv_slapse.storage.camera_info import read_camera
+from mv_slapse.tools.batch import task
 from mv_slapse.tools.run import run
 import pytest
 
