@@ -349,6 +349,8 @@ RULES = (
          {SURFACES + 'ground:POLICY': policy(alike=0.0)}),
     Rule('upright walls', 'planes that may be upright are upright',
          {SURFACES + 'plane_search:POLICY': policy(upright_gate=0.0)}),
+    Rule('density', 'a plane fills its outline',
+         {SURFACES + 'plane_search:POLICY': policy(density=0.0)}),
     Rule('windows\' noise', 'windows tell how large the errors are',
          {SURFACES + 'plane_search:POLICY': policy(noise_least=0.0)}),
     Rule('planes recognised', 'a plane that comes back into view has its name again',

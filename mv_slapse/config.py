@@ -106,7 +106,8 @@ class DecoderSettings(Checked):
         0.25, '-', 'the same, as a share of the expected vector', 0.0)
     split_flow: float = setting(
         16.0, 'px', 'median motion of a segment beyond which its middle B frame is a pose of its '
-        'own, if either half has parallax enough; 0: always', 0.0)
+        'own, if either half has parallax enough; for a focal length of up to 500 px: a longer '
+        'one shows the same motion in more pixels; 0: always', 0.0)
     split_share: float = setting(
         0.6, '-', 'least share of correspondences that both halves must keep, or the segment '
         'stays whole', 0.0)
@@ -158,7 +159,7 @@ class ExtractionSettings(Checked):
     relief: float = setting(
         0.03, '-', 'depth of a surface about its plane, as a share of depth: a facade 10 m off '
         'has windows and hedges of 0.3 m', 0.0, 1.0)
-    trials: int = setting(256, '-', 'planes sampled in the search for the ground', 8, 100000)
+    trials: int = setting(128, '-', 'planes sampled in the search for the ground', 8, 100000)
     radius: float = setting(
         96.0, 'px', 'a quarter of the distance within which blocks are sampled for the ground',
         16.0)

@@ -115,10 +115,17 @@ class Blocks:
         part = number == 1 + np.argmax(np.bincount(number)[1:])
         return part if part.sum() >= LEAST else np.zeros_like(mask)
 
+    def density(self, part):
+        own = np.zeros(self.cell.max(axis=0) + 5, bool)
+        own[tuple(self.cell[part].T + 2)] = True
+        inside = ndimage.binary_closing(own, np.ones((3, 3)))[tuple(self.cell.T + 2)]
+        return np.mean(part[inside]) if inside.any() else 0.0
+
     def is_plane(self, part, plane, covariance, before):
         least = self.min_macroblocks * (POLICY['fading'] if before >= 0 else 1)
         return (len(np.unique(self.cell[part], axis=0)) >= least
-                and np.sqrt(np.trace(covariance)) < POLICY['vague'] * np.linalg.norm(plane))
+                and np.sqrt(np.trace(covariance)) < POLICY['vague'] * np.linalg.norm(plane)
+                and self.density(part) >= POLICY['density'])
 
 
 def distance(a, b):

@@ -22,7 +22,7 @@ KERNELS_INLINE Four broadcast(double x) { return Four{} + x; }
 constexpr int STEP = static_cast<int>(LANES);
 
 struct Policy {
-  double cut, max_excess, max_blur, roughness, vague, fading;  // of planes
+  double cut, max_excess, max_blur, roughness, density, vague, fading;  // of planes
   double least, cap, lean, dependence, reach, upright_gate, noise_least;  // of windows
   double same_gate, min_macroblocks;
   int judged;
@@ -30,7 +30,7 @@ struct Policy {
   explicit Policy(const py::dict& d)
       : cut(policy(d, "cut")), max_excess(policy(d, "max_excess")),
         max_blur(policy(d, "max_blur")), roughness(policy(d, "roughness")),
-        vague(policy(d, "vague")), fading(policy(d, "fading")),
+        density(policy(d, "density")), vague(policy(d, "vague")), fading(policy(d, "fading")),
         least(policy(d, "least")), cap(policy(d, "cap")), lean(policy(d, "lean")),
         dependence(policy(d, "dependence")), reach(policy(d, "reach")),
         upright_gate(policy(d, "upright_gate")), noise_least(policy(d, "noise_least")),
@@ -234,6 +234,7 @@ class Search {
   void share_out(const std::vector<Gaussian>& known, const std::vector<int>& seen);
   double more(const std::vector<int>& part, const std::vector<double>& gain) const;
   bool is_plane(const Track& track, const std::vector<int>& part);
+  double share_of_outline(const std::vector<int>& part);
   double least_gain() const { return 1.4 * is_.max_excess * is_.min_macroblocks; }
 
   const Policy& is_;
@@ -248,6 +249,7 @@ class Search {
   std::vector<int> best_, judges_, asked_;
   int now_ = 0;
   std::vector<double> worse_;
+  std::vector<unsigned char> outline_, wider_;
   std::vector<Track> found_;
   std::vector<std::vector<int>> parts_;
 };
@@ -484,7 +486,8 @@ void Search::see_again(const std::vector<Gaussian>& known, const std::vector<int
 Gaussian Search::grown(const Window& window, const double* centre, int first, int last) const {
   Gaussian out{window.plane, {}};
   for (const double softness : {0.25, 1.0, 1.0}) {
-    Equations e = equations_near(blocks_, x_.data(), y_.data(), {first, last}, centre, is_.reach, out.plane, softness);
+    Equations e = equations_near(blocks_, x_.data(), y_.data(), {first, last}, centre, is_.reach,
+                                 out.plane, softness);
     e.ridge(10 * std::numeric_limits<double>::epsilon());
     if (!inverse(e.A, out.covariance)) break;
     out.plane = out.covariance * e.b;
@@ -583,11 +586,41 @@ void Search::share_out(const std::vector<Gaussian>& known, const std::vector<int
   }
 }
 
-// Tells whether what remains of a plane is one: large and well known.
+// Which share of the blocks in a plane's outline is its own; the outline has no gaps of a cell.
+double Search::share_of_outline(const std::vector<int>& part) {
+  const int wide = cells_.columns + 4, high = cells_.rows + 4;
+  outline_.assign(wide * high, 0);
+  const auto cell = [&](int i) { return (cells_.row[i] + 2) * wide + cells_.column[i] + 2; };
+  int top = high, bottom = 0, left = wide, right = 0;  // the part and a cell around
+  for (const int i : part) {
+    outline_[cell(i)] = 1;
+    top = std::min(top, cells_.row[i] + 1), bottom = std::max(bottom, cells_.row[i] + 3);
+    left = std::min(left, cells_.column[i] + 1), right = std::max(right, cells_.column[i] + 3);
+  }
+  for (const bool grow : {true, false}) {  // dilation, then erosion, by 3 x 3 cells
+    wider_.assign(wide * high, 0);
+    for (int r = top; r <= bottom; ++r)
+      for (int k = r * wide + left; k <= r * wide + right; ++k) {
+        int near = 0;
+        for (const int row : {-wide, 0, wide})
+          near += outline_[k + row - 1] + outline_[k + row] + outline_[k + row + 1];
+        wider_[k] = grow ? near > 0 : near == 9;
+      }
+    outline_.swap(wider_);
+  }
+  int inside = 0;
+  for (int i = 0; i < blocks_.n; ++i) inside += outline_[cell(i)];
+  int own = 0;
+  for (const int i : part) own += outline_[cell(i)];
+  return inside ? static_cast<double>(own) / inside : 0.0;
+}
+
+// Tells whether what remains of a plane is one: large, dense and well known.
 bool Search::is_plane(const Track& track, const std::vector<int>& part) {
   const double least = is_.min_macroblocks * (track.before < 0 ? 1.0 : is_.fading);
   return components_.count(part) >= least &&
-         std::sqrt(trace(track.now.covariance)) < is_.vague * norm(track.now.plane);
+         std::sqrt(trace(track.now.covariance)) < is_.vague * norm(track.now.plane) &&
+         share_of_outline(part) >= is_.density;
 }
 
 std::vector<Track> Search::chosen(const std::vector<Gaussian>& known,

@@ -32,6 +32,7 @@ POLICY = {
     # A block's depth, as a share: at 3 sigma 0.18, and set-backs differ by 0.2.
     'max_blur': 0.06,
     'roughness': 0.01,  # relief within a window, share of depth: frames and sills of windows
+    'density': 0.6,  # share of a plane's blocks among those in its outline; less is vegetation
     'vague': 0.35,  # uncertainty, a share, beyond which a plane passes for the next pair's
     'fading': 0.7,  # share of the smallest plane at which a known one is still seen
     'least': 8,  # blocks in a window: three unknowns, and as many errors again

@@ -4,6 +4,7 @@ from mv_slapse.codec import decoder, evidence
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
 from mv_slapse.config import DecoderSettings
+from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import SegmentKind
 import numpy as np
 import pictures
@@ -60,6 +61,15 @@ def test_a_segment_is_halved_only_where_each_half_has_parallax_of_its_own(rng, p
     settings = replace(EACH, min_parallax=parallax, split_share=0.0)
     pair = decoded(packets(rng, MPEG2), settings)[0]
     assert pair.stamp == frames * 40_000_000
+
+
+@pytest.mark.parametrize(('focal', 'frames'), [(300.0, 2), (500.0, 2), (800.0, 4)])
+def test_a_longer_lens_may_see_more_pixels_of_motion_before_a_segment_is_halved(
+        rng, focal, frames):
+    camera = Camera(320, 240, np.diag([focal, focal, 1.0]))
+    live = CorrespondenceDecoder(replace(EACH, min_parallax=0.0, split_share=0.0), camera)
+    pairs = [pair for packet in packets(rng, MPEG2) for pair in live.feed(packet)]
+    assert pairs[0].stamp == frames * 40_000_000  # of 5.8 px each
 
 
 @pytest.mark.parametrize(('longest', 'frames'), [(0.15, 2), (0.17, 4)])
