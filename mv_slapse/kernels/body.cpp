@@ -56,7 +56,11 @@ class Columns {
         columns_((width + BlockGrid::MACROBLOCK - 1) / BlockGrid::MACROBLOCK) {
     double nearest = 0;
     auto lowest = seen.at.front(), highest = lowest;
+    ground_.resize(2 * (1 + *std::max_element(seen.at.begin(), seen.at.end())));
     for (const auto i : seen.at) {
+      ground_[2 * i] = on_ground(seen.rho[i], seen.sigma[i], seen.under[i]);
+      ground_[2 * i + 1] =
+          on_ground(seen.foreseen[2 * i], seen.foreseen[2 * i + 1], seen.under[i]);
       if (seen.under[i] > seen.under[lowest]) lowest = i;
       if (seen.under[i] < seen.under[highest]) highest = i;
       const auto column = static_cast<std::int64_t>(seen.x[2 * i] / BlockGrid::MACROBLOCK);
@@ -108,15 +112,19 @@ class Columns {
   // How much rather a block shows a depth than the ground, log-likelihood, by this pair and those
   // before: what goes away steadily is foreseen too far as well, a wrong vector is not foreseen.
   double gain(std::int64_t i, double depth) const {
-    const double under = seen_.under[i];
-    const auto told = [&](double rho, double sigma) {
-      const double variance = square(sigma);
-      const double ground = square(rho - under) / (variance + square(uneven_ * under)),
-                   body = square(rho - depth) / (variance + square(rules_.body * depth));
-      return 0.5 * (std::min(ground, 2 * rules_.most) - std::min(body, 2 * rules_.most));
+    const double thick = square(rules_.body * depth);
+    const auto told = [&](double rho, double sigma, double ground) {
+      const double body = square(rho - depth) / (square(sigma) + thick);
+      return 0.5 * (ground - std::min(body, 2 * rules_.most));
     };
-    return told(seen_.rho[i], seen_.sigma[i]) +
-           told(seen_.foreseen[2 * i], seen_.foreseen[2 * i + 1]);
+    return told(seen_.rho[i], seen_.sigma[i], ground_[2 * i]) +
+           told(seen_.foreseen[2 * i], seen_.foreseen[2 * i + 1], ground_[2 * i + 1]);
+  }
+
+  // Squared error of an inverse depth as the ground's, at most so much that it is none.
+  double on_ground(double rho, double sigma, double under) const {
+    return std::min(square(rho - under) / (square(sigma) + square(uneven_ * under)),
+                    2 * rules_.most);
   }
 
   // How far a body goes down and up in a column: sums of gains from where ground is as far, to
@@ -202,6 +210,7 @@ class Columns {
   const Seen& seen_;
   const BodyRules& rules_;
   double uneven_, slope_ = 0;
+  std::vector<double> ground_;  // squared errors of each block on the ground: shown, foreseen
   std::vector<Blocks> columns_;  // from the top down
   std::vector<double> depths_, told_;
   std::vector<double> foot_;  // rows below the horizon
