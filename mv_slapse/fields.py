@@ -4,12 +4,13 @@
 numpy columns of the message's own type; nodes and bags each fill their own message classes with
 it. ``*_from_message`` reads any object that has the fields as attributes, whoever made it.
 
-Positions go out in the odom frame and come back in {W}, see ``geometry.ros_frames``.
+Positions go out in the odom frame and come back in {W}, see ``ros_frames``.
 """
 
 from typing import Any
 
 from mv_slapse import message_checks as check
+from mv_slapse import ros_frames
 from mv_slapse.field_values import (
     column,
     Fields,
@@ -28,11 +29,9 @@ from mv_slapse.field_values import (
     stamp_from_message,
     stamp_to_fields,
 )
-from mv_slapse.geometry import ros_frames
 from mv_slapse.geometry.calibration import camera_from_calibration
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.quaternion import to_matrix
-from mv_slapse.geometry.ros_frames import Pose, RosFrames, Twist
 from mv_slapse.records import (
     CameraMotion,
     Correspondences,
@@ -50,6 +49,7 @@ from mv_slapse.records import (
     Speed,
     TrackingStatus,
 )
+from mv_slapse.ros_frames import Pose, RosFrames, Twist
 import numpy as np
 
 RATIOS = -50.0, 50.0  # log of a ratio of lengths

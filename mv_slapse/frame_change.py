@@ -3,10 +3,10 @@
 from dataclasses import replace
 from typing import Any
 
-from mv_slapse.geometry import ros_frames
-from mv_slapse.geometry.ros_frames import Pose, RosFrames
+from mv_slapse import ros_frames
 from mv_slapse.geometry.rotation import skew
 from mv_slapse.records import MapPlane, Obstacle, PlaneHandover, SceneEstimate
+from mv_slapse.ros_frames import Pose, RosFrames
 import numpy as np
 
 

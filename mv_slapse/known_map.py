@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 from mv_slapse.geometry import rotation
 from mv_slapse.geometry.plane import WELL_SEEN
-from mv_slapse.geometry.ros_frames import Pose
 from mv_slapse.records import MapPlane, ScaleStatus, SceneEstimate
+from mv_slapse.ros_frames import Pose
 import numpy as np
 
 #: of a start of which nothing is known but that it is about where the earlier run began

@@ -14,8 +14,8 @@ from mv_slapse import message_checks as check
 from mv_slapse.field_values import read_xyz
 from mv_slapse.geometry import rotation
 from mv_slapse.geometry.quaternion import to_matrix
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.records import MapPlane
+from mv_slapse.ros_frames import RosFrames
 import numpy as np
 
 START = '_start'  # what the name of {W}, the first key frame's camera, ends with on /tf_static

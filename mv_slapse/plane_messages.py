@@ -6,8 +6,8 @@ from typing import Any
 
 from mv_slapse import fields
 from mv_slapse.fields import Fields
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.records import MapPlane, SceneEstimate
+from mv_slapse.ros_frames import RosFrames
 import numpy as np
 
 

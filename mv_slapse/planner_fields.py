@@ -6,8 +6,8 @@ As in ``fields``, a message is a nested dict; what is not named keeps its defaul
 from collections.abc import Sequence
 
 from mv_slapse.fields import Fields, header
-from mv_slapse.geometry.ros_frames import points_to_odom, RosFrames, vectors_to_odom
 from mv_slapse.records import Obstacle, ObstacleState
+from mv_slapse.ros_frames import points_to_odom, RosFrames, vectors_to_odom
 from mv_slapse.shapes import footprint, sample
 import numpy as np
 

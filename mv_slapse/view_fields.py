@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from mv_slapse.fields import Fields, header, stamp_to_fields
-from mv_slapse.geometry.ros_frames import points_to_odom, RosFrames, vectors_to_odom
 from mv_slapse.records import Obstacle, ObstacleState, SceneEstimate
+from mv_slapse.ros_frames import points_to_odom, RosFrames, vectors_to_odom
 import numpy as np
 
 ARROW, TEXT, TRIANGLES = 0, 9, 11  # Marker.ARROW, TEXT_VIEW_FACING, TRIANGLE_LIST

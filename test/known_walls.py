@@ -1,8 +1,8 @@
 """A corner of a street as two runs see it: ground, facades, and walls across."""
 
 from mv_slapse.geometry import rotation
-from mv_slapse.geometry.ros_frames import Pose
 from mv_slapse.records import MapPlane, ScaleStatus, SceneEstimate, TrackingStatus
+from mv_slapse.ros_frames import Pose
 import numpy as np
 
 SIGMA = np.array([0.01, 0.01, 0.1])  # of two angles [rad] and the distance at the middle [m]

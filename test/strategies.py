@@ -5,8 +5,8 @@ from mv_slapse import message_checks as check
 from mv_slapse import records as r
 from mv_slapse.field_values import SIGMAS
 from mv_slapse.geometry import rotation
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.records import Label
+from mv_slapse.ros_frames import RosFrames
 import numpy as np
 
 FAR = 1e5  # [m]: farther, sums of places lose the digits that a comparison looks at

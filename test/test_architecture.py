@@ -34,9 +34,10 @@ BELOW = {
     'kernels': {'errors'},
     'geometry': {*BASE, 'kernels'},
     'drawing': LOW,
-    'frame_change': LOW,
-    'known_map': LOW,
-    'level': {*LOW, 'fields', 'field_values', 'message_checks'},
+    'ros_frames': {'geometry'},
+    'frame_change': {*LOW, 'ros_frames'},
+    'known_map': {*LOW, 'ros_frames'},
+    'level': {*LOW, 'fields', 'field_values', 'message_checks', 'ros_frames'},
     'codec': LOW,
     'motion': LOW,
     'surfaces': {*LOW, 'motion'},
@@ -51,11 +52,11 @@ BELOW = {
     'states': set(),
     'step_diagnostics': {*LOW, 'field_values', 'states'},
     'storage': {*LOW, 'codec', 'fields', 'known_map', 'level', 'picture_size',
-                'plane_messages', 'planner_fields', 'step_diagnostics', 'video_messages',
-                'view_fields'},
+                'plane_messages', 'planner_fields', 'ros_frames', 'step_diagnostics',
+                'video_messages', 'view_fields'},
     'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'drawing', 'fields', 'field_values',
               'frame_change', 'heap', 'known_map', 'level', 'message_checks', 'plane_messages',
-              'planner_fields', 'states', 'video_messages', 'view_fields'},
+              'planner_fields', 'ros_frames', 'states', 'video_messages', 'view_fields'},
 }
 
 

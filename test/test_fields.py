@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import made_up
 from mv_slapse import fields
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.records import Label, ScaleStatus
+from mv_slapse.ros_frames import RosFrames
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

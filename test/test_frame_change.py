@@ -1,7 +1,7 @@
 import made_up
 from mv_slapse.frame_change import step_in
-from mv_slapse.geometry.ros_frames import Pose
 from mv_slapse.pipeline import Step
+from mv_slapse.ros_frames import Pose
 import numpy as np
 import pytest
 

@@ -2,9 +2,9 @@ from dataclasses import replace
 
 import known_walls as walls
 from mv_slapse.geometry import rotation
-from mv_slapse.geometry.ros_frames import Pose
 from mv_slapse.known_map import about, KnownMap, place
 from mv_slapse.records import ScaleStatus
+from mv_slapse.ros_frames import Pose
 import numpy as np
 import pytest
 

@@ -3,8 +3,8 @@
 from types import SimpleNamespace
 
 from mv_slapse import level
-from mv_slapse.geometry.ros_frames import points_to_odom, Pose, pose_to_odom, RosFrames
 from mv_slapse.records import MapPlane
+from mv_slapse.ros_frames import points_to_odom, Pose, pose_to_odom, RosFrames
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

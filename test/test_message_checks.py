@@ -2,8 +2,8 @@ from types import SimpleNamespace
 
 import made_up
 from mv_slapse import fields
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.message_checks import InvalidMessage
+from mv_slapse.ros_frames import RosFrames
 import numpy as np
 import pytest
 from test_fields import as_message

@@ -3,8 +3,8 @@ from functools import partial
 
 import made_up
 from mv_slapse import fields
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.plane_messages import PlaneMessages
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse.storage import messages
 import numpy as np
 

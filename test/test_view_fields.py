@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import made_up
 from mv_slapse import fields, view_fields
-from mv_slapse.geometry.ros_frames import points_to_odom, RosFrames
 from mv_slapse.records import ObstacleState
+from mv_slapse.ros_frames import points_to_odom, RosFrames
 from mv_slapse.view_fields import ARROW, DELETE, MarkerBoard, TEXT, TRIANGLES
 import numpy as np
 from numpy.testing import assert_allclose

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.frame_change import in_frames
-from mv_slapse.geometry.ros_frames import Pose, RosFrames
 from mv_slapse.nodes.settings import SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import SceneEstimate
+from mv_slapse.ros_frames import Pose, RosFrames
 from mv_slapse.storage.archives import MapArchive, write_json
 from mv_slapse.storage.tum import TrajectoryRows
 from mv_slapse.storage.waiting_rows import WaitingRows

@@ -2,13 +2,13 @@
 
 from mv_slapse import fields
 from mv_slapse.config import DecoderSettings, EncoderSettings
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.decoding import Decoding
 from mv_slapse.nodes.image_overlay import OverlayTopics
 from mv_slapse.nodes.qos import RELIABLE
 from mv_slapse.nodes.shell import run, Shell
 from mv_slapse.records import Correspondences, SegmentKind
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse_msgs.msg import Correspondences as CorrespondencesMsg
 
 

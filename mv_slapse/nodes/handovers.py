@@ -5,11 +5,11 @@ from collections.abc import Iterable
 from itertools import compress
 
 from mv_slapse import fields
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import Label, PlaneHandover
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse_msgs.msg import PlaneHandover as PlaneHandoverMsg
 
 TOPIC = 'planes/handover'

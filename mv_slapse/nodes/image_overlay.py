@@ -7,12 +7,12 @@ from mv_slapse import drawing, fields
 from mv_slapse import message_checks as check
 from mv_slapse.field_values import header
 from mv_slapse.geometry.blocks import grid_centres
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.health import every
 from mv_slapse.nodes.qos import is_heard, RELIABLE, subscribe
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import Extraction, Obstacle, ScaleStatus
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse_msgs.msg import ObstacleArray, PlaneObservations
 import numpy as np
 from sensor_msgs.msg import Image

@@ -1,12 +1,12 @@
 """``map_file`` and ~/load_map: odom becomes the frame of an earlier run's map."""
 
 from mv_slapse.errors import MvSlapseError, UsageError
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.known_map import KnownMap, PERIOD, place
 from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.settings import SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import SceneEstimate, TrackingStatus
+from mv_slapse.ros_frames import RosFrames
 from std_srvs.srv import Trigger
 
 MISSING = 'map_file is not set; set it to the map.json of an earlier run'

@@ -2,12 +2,12 @@
 
 from geometry_msgs.msg import PolygonInstanceStamped
 from mv_slapse import fields, planner_fields, view_fields
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import to_message
 from mv_slapse.nodes.qos import is_heard, RELIABLE
 from mv_slapse.nodes.settings import FrameSettings, ObstacleOutputSettings
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import Obstacle, ScaleStatus
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse_msgs.msg import ObstacleArray
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray

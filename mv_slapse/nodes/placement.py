@@ -5,7 +5,6 @@ from dataclasses import replace
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from mv_slapse import fields
-from mv_slapse.geometry.ros_frames import ORIGIN, Pose, pose_to_odom, pose_to_world, RosFrames
 from mv_slapse.geometry.rotation import skew
 from mv_slapse.known_map import about
 from mv_slapse.level import levelled
@@ -14,6 +13,7 @@ from mv_slapse.nodes.qos import subscribe
 from mv_slapse.nodes.settings import FrameSettings
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import MapPlane, SceneEstimate, WITH_POSE
+from mv_slapse.ros_frames import ORIGIN, Pose, pose_to_odom, pose_to_world, RosFrames
 import numpy as np
 
 TOPIC = 'initialpose'

@@ -5,7 +5,6 @@ from mv_slapse.config import ExtractionSettings, MountSettings
 from mv_slapse.extraction.extractor import PlaneExtractor
 from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes import overload
 from mv_slapse.nodes.camera_input import CameraInput
 from mv_slapse.nodes.conversions import to_message
@@ -15,6 +14,7 @@ from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.shell import run, Shell
 from mv_slapse.records import Correspondences as RecordedPair
 from mv_slapse.records import Extraction
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse_msgs.msg import Correspondences, PlaneObservations
 
 TOPIC = 'correspondences'

@@ -5,9 +5,9 @@ from dataclasses import replace
 from typing import Any
 
 from mv_slapse.fields import scene_from_messages, stamp_from_message, tracking_from_message
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.obstacles import units
 from mv_slapse.records import Extraction, SceneEstimate, WITH_POSE
+from mv_slapse.ros_frames import RosFrames
 import numpy as np
 
 BOUND = 100  # messages kept on each topic

@@ -5,7 +5,6 @@ from functools import partial
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistWithCovarianceStamped
 from mv_slapse import fields, view_fields
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes.conversions import bounded_covariance, stamp_to_msg, to_message
 from mv_slapse.nodes.extrinsics import tf_message_type
 from mv_slapse.nodes.health import every
@@ -15,6 +14,7 @@ from mv_slapse.nodes.settings import FrameSettings, SceneOutputSettings
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.plane_messages import PlaneMessages
 from mv_slapse.records import ScaleStatus, SceneEstimate, TrackingStatus, WITH_POSE
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse.states import CONDITIONS
 from mv_slapse_msgs.msg import MapPlane as MapPlaneMsg
 from mv_slapse_msgs.msg import PlaneMap

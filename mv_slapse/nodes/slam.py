@@ -2,7 +2,6 @@
 
 from mv_slapse import fields
 from mv_slapse.config import SceneSettings
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.nodes import overload
 from mv_slapse.nodes.archive import Archive
 from mv_slapse.nodes.extrinsics import Extrinsics
@@ -15,6 +14,7 @@ from mv_slapse.nodes.scene_output import SceneOutput
 from mv_slapse.nodes.shell import run, Shell
 from mv_slapse.nodes.speeds import Speeds
 from mv_slapse.records import Extraction, Label
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse.scene.filter import SceneFilter
 from mv_slapse_msgs.msg import PlaneObservations
 

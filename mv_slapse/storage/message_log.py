@@ -9,7 +9,6 @@ from typing import Any, Protocol
 from mv_slapse import fields, planner_fields, view_fields
 from mv_slapse.codec.packet import Packet
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.level import levelled, start_to_fields
 from mv_slapse.plane_messages import PlaneMessages
 from mv_slapse.records import (
@@ -20,6 +19,7 @@ from mv_slapse.records import (
     SceneEstimate,
     WITH_POSE,
 )
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse.step_diagnostics import StepDiagnostics
 from mv_slapse.storage import messages
 from mv_slapse.storage.bag_writer import McapFile

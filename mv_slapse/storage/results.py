@@ -9,7 +9,7 @@ from typing import Any, TextIO
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import MvSlapseError, UnusableOutput, UsageError
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.geometry.ros_frames import ORIGIN, RosFrames
+from mv_slapse.ros_frames import ORIGIN, RosFrames
 from mv_slapse.storage import tables, tum
 from mv_slapse.storage.archives import LabelArchive, MapArchive, write_json
 from mv_slapse.storage.message_log import MessageLog, Step

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from mv_slapse.errors import UnusableInput
 from mv_slapse.geometry import quaternion
-from mv_slapse.geometry.ros_frames import ORIGIN, Pose
 from mv_slapse.records import SceneEstimate, WITH_POSE
+from mv_slapse.ros_frames import ORIGIN, Pose
 from mv_slapse.storage import whole_files
 import numpy as np
 

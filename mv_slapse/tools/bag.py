@@ -8,7 +8,7 @@ from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
 from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.geometry.ros_frames import Pose, RosFrames
+from mv_slapse.ros_frames import Pose, RosFrames
 from mv_slapse.storage.bag_writer import BagWriter
 from mv_slapse.storage.tum import Trajectory
 from mv_slapse.tools.inputs import open_input

@@ -18,9 +18,9 @@ from mv_slapse.evaluation import (
     trajectory,
 )
 from mv_slapse.evaluation.truth import LabelTable, read_arrays, read_labels, read_truth, Truth
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.level import frames_from_transforms
 from mv_slapse.records import SceneEstimate
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.tables import OBSTACLES_HEADER, PLANES_HEADER, read_table
 from mv_slapse.storage.tum import read_trajectory, Trajectory

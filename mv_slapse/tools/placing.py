@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Any
 
 from mv_slapse.frame_change import step_in
-from mv_slapse.geometry.ros_frames import ORIGIN
 from mv_slapse.known_map import about, PERIOD, place
 from mv_slapse.pipeline import Step
 from mv_slapse.records import TrackingStatus
+from mv_slapse.ros_frames import ORIGIN
 from mv_slapse.storage.archives import read_map
 
 WAIT = 15_000_000_000  # [ns] of the video until the run goes on in a frame of its own

@@ -3,10 +3,10 @@
 from functools import cache
 
 from mv_slapse.config import SceneSettings, Settings
-from mv_slapse.geometry.ros_frames import Pose, pose_to_odom, RosFrames
 from mv_slapse.level import levelled
 from mv_slapse.pipeline import Slapse
 from mv_slapse.records import Correspondences, SegmentKind, WITH_POSE
+from mv_slapse.ros_frames import Pose, pose_to_odom, RosFrames
 from mv_slapse.scene.scale.height import ENOUGH
 from mv_slapse.simulation.drawn import draw_pair
 from mv_slapse.simulation.street import Street, StreetSettings

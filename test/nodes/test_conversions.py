@@ -3,8 +3,8 @@ import dataclasses
 import made_up
 from mv_slapse import fields
 from mv_slapse.errors import UnusableInput
-from mv_slapse.geometry.ros_frames import RosFrames
 from mv_slapse.records import Extraction
+from mv_slapse.ros_frames import RosFrames
 import numpy as np
 import pytest
 

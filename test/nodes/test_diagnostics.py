@@ -12,7 +12,6 @@ import known_walls as walls  # noqa: E402
 import made_up  # noqa: E402
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
-from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.nodes import decoding, health, latency, numbering, qos, shell  # noqa: E402
 from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402
 from mv_slapse.nodes.conversions import camera_from_msg, to_message  # noqa: E402
@@ -24,6 +23,7 @@ from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
 from mv_slapse.nodes.shell import Shell  # noqa: E402
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
 from mv_slapse.records import ScaleStatus, TrackingStatus  # noqa: E402
+from mv_slapse.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.states import CONDITIONS  # noqa: E402
 from mv_slapse.storage.archives import map_content, write_json  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402

@@ -1,4 +1,4 @@
-from mv_slapse.geometry.ros_frames import R_BODY_FROM_OPTICAL
+from mv_slapse.ros_frames import R_BODY_FROM_OPTICAL
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

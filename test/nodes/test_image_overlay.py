@@ -9,11 +9,11 @@ pytest.importorskip('ffmpeg_image_transport_msgs')
 import made_up  # noqa: E402
 from mv_slapse import drawing, fields  # noqa: E402
 from mv_slapse.fields import stamp_from_message  # noqa: E402
-from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402
 from mv_slapse.nodes.conversions import to_message  # noqa: E402
 from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
 from mv_slapse.records import Label, ObstacleState, ScaleStatus  # noqa: E402
+from mv_slapse.ros_frames import RosFrames  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences, ObstacleArray, PlaneObservations  # noqa: E402
 from nodes import clips  # noqa: E402
 from nodes.video import Video  # noqa: E402

@@ -11,12 +11,12 @@ pytest.importorskip('mv_slapse_msgs')
 
 import known_walls as walls  # noqa: E402
 from mv_slapse.errors import UnusableInput  # noqa: E402
-from mv_slapse.geometry.ros_frames import pose_to_odom, RosFrames  # noqa: E402
 from mv_slapse.level import levelled  # noqa: E402
 from mv_slapse.nodes.known_place import KnownPlace  # noqa: E402
 from mv_slapse.nodes.placement import Placement  # noqa: E402
 from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
 from mv_slapse.nodes.shell import Shell  # noqa: E402
+from mv_slapse.ros_frames import pose_to_odom, RosFrames  # noqa: E402
 from mv_slapse.storage.archives import map_content, read_map, write_json  # noqa: E402
 from mv_slapse_msgs.msg import PlaneMap  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402

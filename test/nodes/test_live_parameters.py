@@ -5,7 +5,6 @@ pytest.importorskip('mv_slapse_msgs')
 
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.config import ExtractionSettings, SceneSettings  # noqa: E402
-from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.nodes.conversions import to_message  # noqa: E402
 from mv_slapse.nodes.parameters import unknown  # noqa: E402
 from mv_slapse.nodes.plane_extraction import PlaneExtractionNode  # noqa: E402
@@ -15,6 +14,7 @@ from mv_slapse.nodes.settings import (  # noqa: E402
     SceneOutputSettings,
 )
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
+from mv_slapse.ros_frames import RosFrames  # noqa: E402
 from mv_slapse_msgs.msg import PlaneObservations  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from nodes import drives  # noqa: E402

@@ -10,13 +10,13 @@ from geometry_msgs.msg import PolygonInstanceStamped  # noqa: E402
 import made_up  # noqa: E402
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.config import ObstacleSettings  # noqa: E402
-from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.nodes.conversions import to_message  # noqa: E402
 from mv_slapse.nodes.obstacle_output import ObstacleOutput  # noqa: E402
 from mv_slapse.nodes.obstacle_tracker import ObstacleTrackerNode  # noqa: E402
 from mv_slapse.nodes.shell import Shell  # noqa: E402
 from mv_slapse.obstacles.tracker import ObstacleTracker  # noqa: E402
 from mv_slapse.records import Label, Obstacle, ObstacleState, ScaleStatus  # noqa: E402
+from mv_slapse.ros_frames import RosFrames  # noqa: E402
 from mv_slapse_msgs.msg import (  # noqa: E402
     ObstacleArray,
     PlaneHandover,

@@ -9,10 +9,10 @@ pytest.importorskip('mv_slapse_msgs')
 
 from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
 from mv_slapse import fields  # noqa: E402
-from mv_slapse.geometry.ros_frames import Pose, pose_to_odom, RosFrames  # noqa: E402
 from mv_slapse.nodes.conversions import to_message  # noqa: E402
 from mv_slapse.nodes.obstacle_tracker import ObstacleTrackerNode  # noqa: E402
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
+from mv_slapse.ros_frames import Pose, pose_to_odom, RosFrames  # noqa: E402
 from mv_slapse_msgs.msg import PlaneMap, PlaneObservations  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from nodes import drives  # noqa: E402

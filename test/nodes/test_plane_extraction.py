@@ -7,10 +7,10 @@ import made_up  # noqa: E402
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.config import ExtractionSettings  # noqa: E402
 from mv_slapse.extraction.extractor import PlaneExtractor  # noqa: E402
-from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.nodes import numbering, plane_extraction  # noqa: E402
 from mv_slapse.nodes.conversions import to_message  # noqa: E402
 from mv_slapse.nodes.plane_extraction import PlaneExtractionNode  # noqa: E402
+from mv_slapse.ros_frames import RosFrames  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences, PlaneMap, PlaneObservations  # noqa: E402
 from nodes import drives  # noqa: E402
 from nodes.bench import BEST_EFFORT, LATCHED, messages_of  # noqa: E402

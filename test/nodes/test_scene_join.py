@@ -96,7 +96,7 @@ def map_of(tracking=OK):
 
 
 def remember(memory, x, stamp):
-    from mv_slapse.geometry.ros_frames import RosFrames
+    from mv_slapse.ros_frames import RosFrames
     extraction = made_up.extraction(np.random.default_rng(0), stamp=stamp)
     odometry = None if x is None else odometry_of(x, stamp)
     return memory.scene(extraction, odometry, map_of(LOST if x is None else OK), RosFrames())

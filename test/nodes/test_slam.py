@@ -11,13 +11,13 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStam
 import made_up  # noqa: E402
 from mv_slapse import fields, view_fields  # noqa: E402
 from mv_slapse.config import SceneSettings  # noqa: E402
-from mv_slapse.geometry.ros_frames import R_BODY_FROM_OPTICAL, RosFrames  # noqa: E402
 from mv_slapse.nodes.conversions import stamp_to_msg, to_message  # noqa: E402
 from mv_slapse.nodes.placement import Placement  # noqa: E402
 from mv_slapse.nodes.scene_output import SceneOutput  # noqa: E402
 from mv_slapse.nodes.shell import Shell  # noqa: E402
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
 from mv_slapse.records import Label, MapPlane, Speed, TrackingStatus  # noqa: E402
+from mv_slapse.ros_frames import R_BODY_FROM_OPTICAL, RosFrames  # noqa: E402
 from mv_slapse.scene.filter import SceneFilter  # noqa: E402
 from mv_slapse_msgs.msg import PlaneHandover, PlaneMap, PlaneObservations  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402

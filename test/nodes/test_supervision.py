@@ -8,13 +8,13 @@ pytest.importorskip('mv_slapse_msgs')
 
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.codec import decoder as codec_decoder  # noqa: E402
-from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.nodes.conversions import to_message  # noqa: E402
 from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
 from mv_slapse.nodes.obstacle_tracker import ObstacleTrackerNode  # noqa: E402
 from mv_slapse.nodes.plane_extraction import PlaneExtractionNode  # noqa: E402
 from mv_slapse.nodes.slam import SlamNode  # noqa: E402
 from mv_slapse.nodes.supervision import Tracebacks  # noqa: E402
+from mv_slapse.ros_frames import RosFrames  # noqa: E402
 from mv_slapse_msgs.msg import (  # noqa: E402
     Correspondences,
     ObstacleArray,

@@ -3,7 +3,7 @@ from pathlib import Path
 import made_up
 from mv_slapse import fields
 from mv_slapse.errors import UnusableInput
-from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse.storage import messages
 import numpy as np
 import pytest

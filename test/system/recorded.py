@@ -1,7 +1,7 @@
 """What recorded odometry and maps say of the camera's way."""
 
 from mv_slapse.fields import scene_from_messages, stamp_from_message
-from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.tum import Trajectory
 import numpy as np

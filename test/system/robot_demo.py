@@ -14,7 +14,7 @@ import time
 
 from mv_slapse.evaluation import trajectory as evaluation
 from mv_slapse.fields import stamp_from_message
-from mv_slapse.geometry.ros_frames import RosFrames
+from mv_slapse.ros_frames import RosFrames
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.storage.tum import read_trajectory, Trajectory

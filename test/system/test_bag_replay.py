@@ -19,8 +19,8 @@ from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
 from mv_slapse.config import SceneSettings, Settings  # noqa: E402
 from mv_slapse.evaluation import trajectory as evaluation  # noqa: E402
 from mv_slapse.fields import stamp_from_message  # noqa: E402
-from mv_slapse.geometry.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.records import TrackingStatus  # noqa: E402
+from mv_slapse.ros_frames import RosFrames  # noqa: E402
 from mv_slapse.scene.scale.height import ENOUGH  # noqa: E402
 from mv_slapse.simulation.street import Street, StreetSettings  # noqa: E402
 from mv_slapse.simulation.truth import film  # noqa: E402

@@ -3,7 +3,7 @@ from mv_slapse import fields
 from mv_slapse.codec.source import open_source
 from mv_slapse.config import Settings
 from mv_slapse.errors import UnusableInput, UsageError
-from mv_slapse.geometry.ros_frames import points_to_odom, Pose, pose_to_world, RosFrames
+from mv_slapse.ros_frames import points_to_odom, Pose, pose_to_world, RosFrames
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.storage.tum import read_trajectory, Trajectory

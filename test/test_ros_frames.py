@@ -1,6 +1,6 @@
 import made_up
-from mv_slapse.geometry import ros_frames
-from mv_slapse.geometry.ros_frames import Pose, RosFrames, Twist
+from mv_slapse import ros_frames
+from mv_slapse.ros_frames import Pose, RosFrames, Twist
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
