@@ -5,8 +5,11 @@ import os
 from pathlib import Path
 import sys
 
-import numpy as np
-import pytest
+# Before numpy is loaded: threads of several workers wait for each other, ten times as long.
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 # The real sequences; an empty MV_SLAPSE_TEST_DATA hides them, as a stranger has it.

@@ -91,7 +91,7 @@ class PlaneExtractor:
         noise = estimate.calibrated(supported, fit, self._memory.noise)
         pair = replace(pair, sigma=noise * pair.sigma)
         seen = self._observed(pair, fit)
-        if seen.epipolar_inlier[rows].mean() < settings.min_inliers:
+        if np.count_nonzero(seen.epipolar_inlier[rows]) < settings.min_inliers * len(rows):
             return self._unknown(status.only(whole, rows), status.disagreement(seen[rows])), rows
         known = self._map(whole).known(pair, (whole.width, whole.height))
         inlier = rows[seen.epipolar_inlier[rows]]
@@ -221,7 +221,7 @@ class PlaneExtractor:
         if follows and memory.ground.plane is not None:
             prior = self._ground_prior(whole, fit, BaselineRatio())
             free = possibly_dynamic.without(held | self._below(pair, fit, prior))
-            if np.mean(free) < MANY_MOVERS:
+            if np.count_nonzero(free) < MANY_MOVERS * len(free):
                 fit = refined_from(pair[free], fit.R_cur_from_prev, fit.t_cur_from_prev)
         return fit, free
 

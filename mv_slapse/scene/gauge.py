@@ -8,7 +8,7 @@ turns and shifts all of it, for good: pairs relate cameras to each other, not to
 
 from mv_slapse.geometry import rotation
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.scene.state import Gauge, SceneState, THETA
+from mv_slapse.scene.state import Gauge, SceneState, THETA, UNIT
 import numpy as np
 
 UNKNOWN_SCALE = 1.0  # of the log of lengths of which one is guessed: a speed may be any
@@ -82,6 +82,6 @@ def jacobian(state: SceneState, name) -> np.ndarray:
 def _moves(state: SceneState, X: np.ndarray) -> np.ndarray:
     """Return what they do to a point (3,) of {W}: (3, 7)."""
     offset = X - state.gauge.place
-    moves = np.eye(3, 7, 3)
-    moves[:, :3], moves[:, 6] = -rotation.skew(offset), offset
+    moves = np.zeros((3, 7))
+    moves[:, :3], moves[:, 3:6], moves[:, 6] = -rotation.skew(offset), UNIT, offset
     return moves

@@ -4,7 +4,7 @@ from mv_slapse.geometry.rotation import norm
 from mv_slapse.records import MapPlane, ScaleStatus, SceneEstimate, TrackingStatus
 from mv_slapse.scene import gauge as scene_gauge
 from mv_slapse.scene.progress import Progress
-from mv_slapse.scene.state import SceneState
+from mv_slapse.scene.state import SceneState, UNIT
 import numpy as np
 
 
@@ -13,7 +13,7 @@ def estimate(state: SceneState, planes: tuple[MapPlane, ...], stamp: int, status
     """Return the record of a state and of its map, and of how it came about."""
     # The state has the rotation first, about the camera's axes; the record about those of {W}.
     turn = np.zeros((6, 6))
-    turn[:3, 3:], turn[3:, :3] = np.eye(3), state.current.R
+    turn[:3, 3:], turn[3:, :3] = UNIT, state.current.R
     pose = turn @ scene_gauge.covariance(state, 'current') @ turn.T
     return SceneEstimate(
         stamp, status, reason, state.current.R.copy(), state.current.t.copy(), pose,

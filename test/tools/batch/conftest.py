@@ -50,6 +50,8 @@ def items(place, like, tmp_path) -> list[Recording]:
 
 @pytest.fixture(scope='session')
 def pool():
-    """Give two workers."""
-    with open_pool(Workers(2)) as found:
-        yield found
+    """Give two workers, which are to have one thread whatever their parent asks for."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv('OPENBLAS_NUM_THREADS', raising=False)
+        with open_pool(Workers(2)) as found:
+            yield found
