@@ -73,7 +73,7 @@ class SupervisedExecutor(SingleThreadedExecutor):
             return run
 
         # rclpy wakes other threads of an executor twice for each callback. Here it would wake
-        # itself, and look at all that it waits for once more: a tenth of the CPU of a node.
+        # itself, and look at all that it waits for once more.
         guard, self._guard = self._guard, NOBODY
         try:
             return super()._make_handler(entity, node, take)
