@@ -12,16 +12,6 @@ REMEMBERED = 100  # kinds of errors whose traceback is told once
 EVENTS = 1.0  # [s] between two looks at the events of the middleware
 
 
-class _Nobody:
-    """In place of the guard condition that wakes other threads."""
-
-    def trigger(self):
-        """Wake nobody."""
-
-
-NOBODY = _Nobody()
-
-
 class SupervisedExecutor(SingleThreadedExecutor):
     """Runs callbacks, and hands to ``report`` what they and the middleware raise.
 
@@ -72,13 +62,7 @@ class SupervisedExecutor(SingleThreadedExecutor):
 
             return run
 
-        # rclpy wakes other threads of an executor twice for each callback. Here it would wake
-        # itself, and look at all that it waits for once more.
-        guard, self._guard = self._guard, NOBODY
-        try:
-            return super()._make_handler(entity, node, take)
-        finally:
-            self._guard = guard
+        return super()._make_handler(entity, node, take)
 
 
 class Tracebacks:

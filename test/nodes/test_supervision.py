@@ -51,18 +51,6 @@ def garbage(message):
     return [data[:len(data) // 2], data[:3], rng.bytes(300), b'\0\1\0\0' + b'\xff' * 64]
 
 
-def test_a_callback_does_not_wake_its_own_executor(bench, monkeypatch):
-    woken, called = [], []
-    executor = bench._executor
-    guard = bench.peer.create_guard_condition(lambda: called.append(True))
-    monkeypatch.setattr(executor._guard, 'trigger', lambda: woken.append(True))
-    guard.trigger()
-    assert bench.spin(lambda: called)
-    assert not woken
-    executor.wake()
-    assert woken
-
-
 def extraction_node(bench):
     node = bench.start(PlaneExtractionNode)
     bench.peer.create_publisher(CameraInfo, 'camera_info', LATCHED).publish(drives.camera_info())
