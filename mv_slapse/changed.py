@@ -14,12 +14,8 @@ def replace(record, **fields):
     TypeError
         Where the record has no such field.
     """
-    changed = object.__new__(type(record))
-    values = changed.__dict__
-    values.update(record.__dict__)
-    n = len(values)
-    values.update(fields)
-    if len(values) > n or hasattr(record, '__post_init__'):
+    changed = unchecked(record, **fields)
+    if len(vars(changed)) > len(vars(record)) or hasattr(record, '__post_init__'):
         return checked(record, **fields)
     return changed
 

@@ -174,7 +174,7 @@ def test_no_file_is_longer_than_400_lines():
     assert not {name: n for name, n in lengths.items() if n > 400}
 
 
-@pytest.mark.parametrize('path', sorted(PACKAGE.glob('*/__init__.py')), ids=module_of)
+@pytest.mark.parametrize('path', sorted(PACKAGE.rglob('*/__init__.py')), ids=module_of)
 def test_the_init_file_of_a_folder_holds_at_most_its_docstring(path):
     assert len(path.read_text().splitlines()) <= 1
 

@@ -63,7 +63,7 @@ def search(segment: Segment, expect: MotionPrior, settings: DecoderSettings) -> 
     there, found = _follow(current, previous, x, start)
     inside = ((there >= 0) & (there < (segment.current.width, segment.current.height))).all(axis=1)
     x, there = x[found & inside], there[found & inside]
-    back, returned = _follow(previous, current, there, x, 0)
+    back, returned = _follow(previous, current, there, x, levels=0)  # begins where it must end
     good = returned & (np.abs(back - x).max(axis=1) < RETURN)
     n = np.count_nonzero(good)
     return Evidence(x[good], there[good] - x[good],

@@ -58,9 +58,9 @@ class Columns {
     auto lowest = seen.at.front(), highest = lowest;
     ground_.resize(2 * (1 + *std::max_element(seen.at.begin(), seen.at.end())));
     for (const auto i : seen.at) {
-      ground_[2 * i] = on_ground(seen.rho[i], seen.sigma[i], seen.under[i]);
-      ground_[2 * i + 1] =
-          on_ground(seen.foreseen[2 * i], seen.foreseen[2 * i + 1], seen.under[i]);
+      const double* foreseen = &seen.foreseen[2 * i];
+      ground_[2 * i] = misfit(seen.rho[i], seen.sigma[i], seen.under[i], uneven_);
+      ground_[2 * i + 1] = misfit(foreseen[0], foreseen[1], seen.under[i], uneven_);
       if (seen.under[i] > seen.under[lowest]) lowest = i;
       if (seen.under[i] < seen.under[highest]) highest = i;
       const auto column = static_cast<std::int64_t>(seen.x[2 * i] / BlockGrid::MACROBLOCK);
@@ -112,18 +112,15 @@ class Columns {
   // How much rather a block shows a depth than the ground, log-likelihood, by this pair and those
   // before: what goes away steadily is foreseen too far as well, a wrong vector is not foreseen.
   double gain(std::int64_t i, double depth) const {
-    const double thick = square(rules_.body * depth);
-    const auto told = [&](double rho, double sigma, double ground) {
-      const double body = square(rho - depth) / (square(sigma) + thick);
-      return 0.5 * (ground - std::min(body, 2 * rules_.most));
-    };
-    return told(seen_.rho[i], seen_.sigma[i], ground_[2 * i]) +
-           told(seen_.foreseen[2 * i], seen_.foreseen[2 * i + 1], ground_[2 * i + 1]);
+    const double *ground = &ground_[2 * i], *foreseen = &seen_.foreseen[2 * i];
+    return 0.5 * (ground[0] - misfit(seen_.rho[i], seen_.sigma[i], depth, rules_.body)) +
+           0.5 * (ground[1] - misfit(foreseen[0], foreseen[1], depth, rules_.body));
   }
 
-  // Squared error of an inverse depth as the ground's, at most so much that it is none.
-  double on_ground(double rho, double sigma, double under) const {
-    return std::min(square(rho - under) / (square(sigma) + square(uneven_ * under)),
+  // Squared error of an inverse depth where another is expected that a surface departs from by a
+  // share; at most so much as a wrong vector's.
+  double misfit(double rho, double sigma, double expected, double share) const {
+    return std::min(square(rho - expected) / (square(sigma) + square(share * expected)),
                     2 * rules_.most);
   }
 
@@ -210,7 +207,7 @@ class Columns {
   const Seen& seen_;
   const BodyRules& rules_;
   double uneven_, slope_ = 0;
-  std::vector<double> ground_;  // squared errors of each block on the ground: shown, foreseen
+  std::vector<double> ground_;  // misfit of each block on the ground: as shown, as foreseen
   std::vector<Blocks> columns_;  // from the top down
   std::vector<double> depths_, told_;
   std::vector<double> foot_;  // rows below the horizon

@@ -518,12 +518,12 @@ void Search::find_new(int room) {
   for (const int w : judges_) {
     const Window& window = windows_[w];
     int vacant = 0;
-    double centre[2] = {};
-    for (const Run& run : window) {
-      for (int k = run.first; k < run.last; ++k) centre[0] += x_[k], centre[1] += y_[k];
+    for (const Run& run : window)
       vacant += static_cast<int>(std::count(&explained[run.first], &explained[run.last], 0.0));
-    }
     if (2 * vacant <= window.count) continue;
+    double centre[2] = {};
+    for (const Run& run : window)
+      for (int k = run.first; k < run.last; ++k) centre[0] += x_[k], centre[1] += y_[k];
     for (double& mean : centre) mean /= window.count;
     const int first = first_from(window.column - reach),
               last = first_from(window.column + WIDEST + reach);

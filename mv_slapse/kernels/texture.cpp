@@ -45,11 +45,12 @@ std::vector<float> texture(const Picture& picture) {
       add(picture.row(y - 1), picture.row(y), picture.row(y + 1), picture.width, sums.xx.data(),
           sums.xy.data(), sums.yy.data());
     for (int c = 0; c < columns; ++c) {
-      const int first = MACROBLOCK * c, n = std::min(MACROBLOCK, picture.width - first);
-      const auto total = [&](const std::vector<int>& of) {  // at most 2^23: a float holds it
-        return static_cast<float>(std::accumulate(&of[first], &of[first] + n, 0));
-      };
-      const float xx = total(sums.xx), xy = total(sums.xy), yy = total(sums.yy);
+      float xx = 0, xy = 0, yy = 0;
+      for (int i = MACROBLOCK * c; i < std::min(MACROBLOCK * (c + 1), picture.width); ++i) {
+        xx += static_cast<float>(sums.xx[i]);
+        xy += static_cast<float>(sums.xy[i]);
+        yy += static_cast<float>(sums.yy[i]);
+      }
       const float half = (xx - yy) / 2;
       const float smaller = (xx + yy) / 2 - std::sqrt(half * half + xy * xy);
       out[r * columns + c] = std::max(smaller, 0.0f) * EVERY / (TWICE * TWICE);

@@ -8,7 +8,7 @@ from mv_slapse.geometry.plane import MOST_KEPT, WELL_SEEN
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Extraction, Label, MapPlane, PlaneHandover
 from mv_slapse.scene import gauge as scene_gauge
-from mv_slapse.scene.state import AnchoredPlane, Pose, SceneState
+from mv_slapse.scene.state import AnchoredPlane, Pose, SceneState, UNIT
 import numpy as np
 
 FARTHEST = 30.0  # an outline ends this many plane depths from the camera: beyond, a block's
@@ -99,7 +99,7 @@ class SceneMap:
                 continue
             anchor = state.current.t.copy()
             scale = 1 + handover.plane @ anchor
-            J = np.eye(3) / scale - np.outer(handover.plane, anchor) / scale**2
+            J = UNIT / scale - np.outer(handover.plane, anchor) / scale**2
             state.add_plane(handover.id, AnchoredPlane(handover.plane / scale, anchor),
                             J @ handover.covariance[:3, :3] @ J.T)
             self.adopt(handover.id, handover.stamp)
@@ -132,7 +132,7 @@ class SceneMap:
                     state.remove_plane(plane.id)
                 world = shown.R @ plane.plane / baseline
                 state.add_plane(plane.id, AnchoredPlane(world, shown.t.copy()),
-                                np.eye(3) * (3 * np.linalg.norm(world)) ** 2)
+                                UNIT * (3 * np.linalg.norm(world)) ** 2)
             ids.append(plane.id)
         return ids
 
@@ -186,10 +186,10 @@ class SceneMap:
         anchored = state.planes[id]
         scale = 1 - anchored.plane @ anchored.anchor
         plane = anchored.plane / scale
-        J = np.eye(3) / scale + np.outer(anchored.plane, anchored.anchor) / scale**2
+        J = UNIT / scale + np.outer(anchored.plane, anchored.anchor) / scale**2
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = J @ scene_gauge.covariance(state, id) @ J.T
-        covariance[3:, 3:] = scene_gauge.covariance(state, 'velocity') + np.eye(3)
+        covariance[3:, 3:] = scene_gauge.covariance(state, 'velocity') + UNIT
         return PlaneHandover(stamp, id, Label.MOVING, plane, np.zeros(3), covariance)
 
 
