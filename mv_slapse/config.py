@@ -99,11 +99,6 @@ class DecoderSettings(Checked):
         2.0, 'px', 'how far a vector may be from that motion to get support', 0.01)
     prior_tolerance: float = setting(
         0.1, '-', 'the same, as a share of the expected vector', 0.0)
-    reference_slack: float = setting(
-        4.0, 'px', 'how far a vector may be from the motion of the pairs before, where it may '
-        'point to one of several reference pictures', 0.0)
-    reference_tolerance: float = setting(
-        0.25, '-', 'the same, as a share of the expected vector', 0.0)
     split_flow: float = setting(
         16.0, 'px', 'median motion of a segment beyond which its middle B frame is a pose of its '
         'own, if either half has parallax enough; for a focal length of up to 500 px: a longer '

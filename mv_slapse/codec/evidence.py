@@ -48,18 +48,6 @@ def is_ambiguous(segment: Segment) -> bool:
     return max(frame.references for frame in (*segment.between, segment.current)) > 1
 
 
-def of_one_interval(evidence: Evidence, field: np.ndarray, settings: DecoderSettings) -> Evidence:
-    """Drop the vectors that rather point to another picture than key frame k-1.
-
-    FFmpeg tells the direction, not which picture (`FrameVectors.direction`). A vector to another
-    picture is longer or shorter than expected by at least a third. ``field`` (rows, columns, 2)
-    [px] is what to expect, see `MotionPrior.field`.
-    """
-    near = compiled.near_expected(evidence.x_cur, evidence.vector, field,
-                                  settings.reference_slack, settings.reference_tolerance)
-    return Evidence(*(column[near] for column in evidence.columns))
-
-
 def _bend(segment: Segment, frame: FrameVectors, settings: DecoderSettings) -> tuple:
     """Return what tells whether the two vectors of a block contradict: share, slack, tolerance.
 

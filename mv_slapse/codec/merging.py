@@ -3,7 +3,7 @@
 from dataclasses import replace
 from math import sqrt
 
-from mv_slapse.codec.evidence import Evidence, is_ambiguous, of_one_interval
+from mv_slapse.codec.evidence import Evidence, is_ambiguous
 from mv_slapse.codec.prior import MotionPrior
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
@@ -35,8 +35,6 @@ def merge(segment: Segment, evidence: Evidence, settings: DecoderSettings,
     if expect is not None:
         seconds = (segment.current.stamp - segment.previous.stamp) * 1e-9
         field = expect.field(seconds, evidence.x_cur, evidence.vector)
-    if field is not None and is_ambiguous(segment):
-        evidence = of_one_interval(evidence, field, settings)
     return average(segment, evidence, settings, field, p)
 
 
@@ -46,8 +44,7 @@ def average(segment: Segment, evidence: Evidence, settings: DecoderSettings,
     frame = segment.current
     # Over several pictures, or to one of several, a vector that nothing supports says nothing.
     direct = not segment.between and not is_ambiguous(segment)
-    x, vector, variance, lone = agreed(evidence, (frame.width, frame.height), settings, field,
-                                       not is_ambiguous(segment))
+    x, vector, variance, lone = agreed(evidence, (frame.width, frame.height), settings, field)
     # Among nothing but lone vectors none is lone: they are noise.
     n_lone = np.count_nonzero(lone)
     if n_lone and (not (direct and settings.lone_probability) or n_lone == len(lone)):
@@ -91,13 +88,12 @@ def match_probability(evidence: Evidence, merged: Correspondences,
 
 
 def agreed(evidence: Evidence, size: tuple[int, int], settings: DecoderSettings,
-           field: np.ndarray | None = None, grows: bool = True) -> tuple[np.ndarray, ...]:
+           field: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
     """Return what the evidence of each macroblock of a picture of some width and height agrees on.
 
     A macroblock's evidence falls into at most two clusters; the one that the eight macroblocks
     around and the pairs before support best is taken. ``field`` (rows, columns, 2) [px] is what
-    the pairs before let expect. Neighbours may agree on vectors that grow from one to the next
-    where it ``grows``: where vectors point to several pictures whole surfaces of them do.
+    the pairs before let expect.
 
     Returns
     -------
@@ -109,7 +105,7 @@ def agreed(evidence: Evidence, size: tuple[int, int], settings: DecoderSettings,
         Which have too little support.
     """
     return compiled.merge(
-        evidence.columns, *size, field, grows=grows, slack=settings.agreement_slack,
+        evidence.columns, *size, field, slack=settings.agreement_slack,
         tolerance=settings.agreement_tolerance, min_support=settings.min_support,
         prior_votes=settings.prior_votes, prior_slack=settings.prior_slack,
         prior_tolerance=settings.prior_tolerance,

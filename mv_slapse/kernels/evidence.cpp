@@ -184,23 +184,6 @@ py::tuple halves(const py::tuple& frame, float share, float slack, float toleran
   return py::make_tuple(first.arrays(), second.arrays());
 }
 
-// Which vectors are within reach of what a field (rows, columns, 2) lets expect at their places.
-py::array_t<bool> near_expected(const py::object& places, const py::object& vectors,
-                                const py::object& expected, float slack, float tolerance) {
-  const char* name = "near_expected";
-  const In<float> x(name, "x", places, {ANY, 2}, Check::finite);
-  const In<float> vector(name, "vector", vectors, {x.size(), 2}, Check::finite);
-  const In<float> field(name, "field", expected, {ANY, ANY, 2}, Check::finite);
-  require(field.size(0) && field.size(1), name, "the field is empty");
-  Out<bool> near({x.size()});
-  for (py::ssize_t i = 0; i < x.size(); ++i) {
-    const int cell = nearest_macroblock(at(x, i), field.size(1), field.size(0));
-    const Vec2 expect = at(field, cell);
-    near[i] = length(at(vector, i) - expect) < slack + tolerance * length(expect);
-  }
-  return near.array();
-}
-
 // Columns of FrameVectors from the bytes of FFmpeg's AVMotionVector rows.
 py::tuple motion_vectors(const py::object& exported) {
   struct Row {  // libavutil/motion_vector.h
@@ -245,5 +228,4 @@ void bind_evidence(kernels::py::module_& module) {
   module.def("direct", direct);
   module.def("indirect", indirect);
   module.def("halves", halves);
-  module.def("near_expected", near_expected);
 }

@@ -121,9 +121,8 @@ struct Columns {
 // How many of the eight macroblocks around speak for the vectors of those from `first` to before
 // `last`; each gives at most one vote, that of its vector which agrees best. What comes near grows
 // from block to block: two on opposite sides then speak together for what lies half-way between.
-template <bool GROWS>
-KERNELS_INLINE void count_votes(const Columns (&voter)[2], const Columns& centre, int columns,
-                                int first, int last, Agreement beside, float* __restrict votes) {
+KERNELS_WIDE void count(const Columns (&voter)[2], const Columns& centre, int columns, int first,
+                        int last, Agreement beside, float* __restrict votes) {
   const float *__restrict x0 = voter[0].x.data(), *__restrict y0 = voter[0].y.data();
   const float *__restrict x1 = voter[1].x.data(), *__restrict y1 = voter[1].y.data();
   const float *__restrict cx = centre.x.data(), *__restrict cy = centre.y.data();
@@ -136,18 +135,11 @@ KERNELS_INLINE void count_votes(const Columns (&voter)[2], const Columns& centre
       const float near = std::min(square(a - own), square(c - own));
       const float opposite = std::min(square(b - own), square(d - own));
       const float apart = std::max(1 - near * scale, 0.0f) + std::max(1 - opposite * scale, 0.0f);
-      if (!GROWS) return apart;
       const Vec2 half = 0.5f * (a + b);
       return std::max(apart, 2 * std::max(1 - square(half - own) * scale, 0.0f));
     };
     votes[i] = 0.0f + speaks(-columns - 1) + speaks(-columns) + speaks(-columns + 1) + speaks(-1);
   }
-}
-
-KERNELS_WIDE void count(const Columns (&voter)[2], const Columns& centre, int columns, int first,
-                        int last, Agreement beside, bool grows, float* votes) {
-  if (grows) return count_votes<true>(voter, centre, columns, first, last, beside, votes);
-  count_votes<false>(voter, centre, columns, first, last, beside, votes);
 }
 
 // The grid of macroblocks with a border in which there is nothing.
@@ -194,12 +186,12 @@ struct Grid {
       }
   }
   // Votes of the eight macroblocks around for the first or the second cluster of each.
-  std::vector<float> votes(int k, Agreement beside, bool grows) const {
+  std::vector<float> votes(int k, Agreement beside) const {
     std::vector<float> out(columns * rows, 0.0f);
     for (int cell = columns + 1, last = columns * (rows - 1) - 1; cell < last; ++cell) {
       const int first = cell;
       while (cell < last && cluster[k][cell].present()) ++cell;
-      if (cell > first) count(voter, centre[k], columns, first, cell, beside, grows, out.data());
+      if (cell > first) count(voter, centre[k], columns, first, cell, beside, out.data());
     }
     return out;
   }
@@ -235,7 +227,6 @@ py::tuple merge(const py::tuple& columns, int width, int height, const py::objec
   const Agreement beside{slack, number("tolerance")};
   const Prior prior{number("prior_votes"), number("prior_slack"), number("prior_tolerance")};
   const float least = number("min_support");
-  const bool grows = options["grows"].cast<bool>();
   Grid grid(width, height);
   std::optional<In<float>> field;
   if (!expected.is_none())
@@ -243,7 +234,7 @@ py::tuple merge(const py::tuple& columns, int width, int height, const py::objec
                   std::initializer_list<py::ssize_t>{grid.rows - 2, grid.columns - 2, 2},
                   Check::finite);
   grid.fill(e, number("direct_weight"), within);
-  const std::vector<float> heard[2] = {grid.votes(0, beside, grows), grid.votes(1, beside, grows)};
+  const std::vector<float> heard[2] = {grid.votes(0, beside), grid.votes(1, beside)};
   struct Chosen {
     const Cluster* cluster;
     float votes;

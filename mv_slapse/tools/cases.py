@@ -35,6 +35,9 @@ LOW_RATE_ENCODINGS = {
     'mpeg2.mp4': Encoding('mpeg2video', 1, 12, {'strict': '-2', 'flags': '0', 'b': '1000000'}),
     'h264_lowlatency.mp4': Encoding('h264', 0, 30, {'crf': '-1', 'b': '1000000'}),
     'h264_bframes.mp4': Encoding('h264', 1, 30, {'crf': '-1', 'b': '1000000'})}
+REFERENCES = {  # several reference pictures: x264 as it comes, and without B frames
+    'h264_default.mp4': Encoding('h264', 3, 250, {'crf': '23', 'x264-params': 'threads=1'}),
+    'h264_lowlatency.mp4': Encoding('h264', 0, 250, {'x264-params': 'ref=3:threads=1'})}
 TRAFFIC = {  # kind of street: which cars move, by turns from seed to seed
     'street': (('slower', 'faster', 'oncoming'),),
     'crossing': (('starting', 'crossing', 'oncoming'), ('stopping', 'crossing', 'faster')),
@@ -86,6 +89,7 @@ LOST = range(80, 100)  # packets of 10 Hz; the road turns meanwhile
 ORIGINAL = 'h264_lowlatency.mp4'  # of a sequence; the one that is encoded anew
 GUESSED_FOCAL = 0.8  # of the width, where nobody knows the lens
 GRAIN = 1.0  # standard deviation of the noise added to pictures [grey levels]
+SEVERAL = ', several references'  # names the rows of videos with several reference pictures
 GRAINY = ', noise'  # names the rows of pictures with noise
 
 
@@ -163,6 +167,13 @@ def streets(count: int, n_frames: int) -> list[Scene]:
     return [_street(f'{kind} {seed}', StreetSettings(
                 seed=seed, n_frames=n_frames, movers=TRAFFIC[kind][seed % len(TRAFFIC[kind])]))
             for kind, seed in product(TRAFFIC, range(count))]
+
+
+def references(count: int, n_frames: int) -> list[Scene]:
+    """Return the first streets with movers once more, coded with several reference pictures."""
+    return [Scene(f'{scene.name}{SEVERAL}', partial(
+                _filmed_with, REFERENCES, f'{scene.name}{SEVERAL}', scene.make.args[1]))
+            for scene in streets(min(count, 2), n_frames) if not scene.name.startswith('quiet')]
 
 
 def drives() -> list[Scene]:
@@ -299,8 +310,12 @@ def _street(kind, settings):
 
 
 def _filmed(kind, settings, grain, folder, only):
-    wanted = named(kind, ENCODINGS if settings.fps >= 24 else SLOW_ENCODINGS, only)
-    if wanted:
+    encodings = ENCODINGS if settings.fps >= 24 else SLOW_ENCODINGS
+    yield from _filmed_with(encodings, kind, settings, folder, only, grain)
+
+
+def _filmed_with(encodings, kind, settings, folder, only, grain=0.0):
+    if wanted := named(kind, encodings, only):
         street, truth = Street(settings), folder / 'truth'
         yield from encoded(wanted, folder, settings.fps,
                            lambda: with_grain(film(street, truth), grain),

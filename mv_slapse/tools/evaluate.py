@@ -79,7 +79,8 @@ def all_scenes(options: argparse.Namespace) -> list[Scene]:
     if data.is_dir():
         found = [*cases.given(data), *cases.cameraless(data), *cases.recoded(data),
                  *cases.lossy(data), *altered(data)]
-    found += [*cases.streets(options.streets, options.frames), *cases.drives(),
+    found += [*cases.streets(options.streets, options.frames),
+              *cases.references(options.streets, options.frames), *cases.drives(),
               *cases.hazards(options.hazards), *cases.flights()]
     return found
 

@@ -1,4 +1,4 @@
-from mv_slapse.codec.evidence import collect, halves, is_ambiguous, of_one_interval
+from mv_slapse.codec.evidence import collect, halves, is_ambiguous
 from mv_slapse.codec.motion_vectors import FrameVectors
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
@@ -77,15 +77,6 @@ def test_halves_leave_out_blocks_whose_vectors_contradict():
     middle = b_frame(200)
     middle.displacement[5] = (40, 0)
     assert [len(collect(half, SETTINGS)) for half in halves(segment(middle), SETTINGS)] == [79, 79]
-
-
-def test_vectors_to_an_older_reference_are_left_out():
-    motion = np.array([20, 0], np.float32)
-    current = frame(400, FrameType.P, (-1, motion), references=3)
-    current.displacement[::4] *= 2
-    field = np.tile(motion, (8, 10, 1))
-    kept = of_one_interval(collect(segment(current=current), SETTINGS), field, SETTINGS)
-    np.testing.assert_array_equal(kept.vector, np.tile(motion, (60, 1)))
 
 
 def test_predicted_vectors_tell_of_a_point_above_the_middle_of_their_block():

@@ -23,7 +23,7 @@ TRIM = (64.0, 24.0, 12.0, 12.0)  # px, about the shift
 SPREAD = (3, 7, 15, 31)  # macroblocks, windows that fill holes, the finest that has a value first
 
 
-def merge(evidence: Evidence, width: int, height: int, settings: DecoderSettings, field, grows):
+def merge(evidence: Evidence, width: int, height: int, settings: DecoderSettings, field):
     """Return place, vector, variance as in consensus, and which have too little support."""
     shape = (-(-height // MACROBLOCK) + 2, -(-width // MACROBLOCK) + 2)
     slots = _slots(evidence, shape, settings)
@@ -32,7 +32,7 @@ def merge(evidence: Evidence, width: int, height: int, settings: DecoderSettings
     clusters.append(_cluster(rest, settings))
     votes = np.stack(_votes([cluster.vector.reshape(*shape, 2) for cluster in clusters],
                             [cluster.mass.reshape(shape) > 0 for cluster in clusters],
-                            _skips(evidence.vector), settings, grows))
+                            _skips(evidence.vector), settings))
     votes = votes.reshape(2, -1) + [np.minimum(cluster.company, 1) for cluster in clusters]
     support = votes + [_expectation(cluster.vector, field, shape, settings)
                        for cluster in clusters]
@@ -162,7 +162,7 @@ def _skips(vector: np.ndarray) -> bool:
 
 
 def _votes(fields: list[np.ndarray], present: list[np.ndarray], skips: bool,
-           settings: DecoderSettings, grows: bool) -> list[np.ndarray]:
+           settings: DecoderSettings) -> list[np.ndarray]:
     """Return how many of the eight macroblocks around speak for each vector.
 
     Each gives at most one vote, that of its vector which agrees best; with ``skips`` a zero
@@ -183,10 +183,8 @@ def _votes(fields: list[np.ndarray], present: list[np.ndarray], skips: bool,
                     for sign in (1, -1)]
             alone = sum(np.maximum(1 - np.minimum(*(_square_gap(end, centre) for end in both))
                                    * scale, 0) for both in ends)
-            if grows:
-                middle = _square_gap(0.5 * (ends[0][0] + ends[1][0]), centre)
-                alone = np.maximum(alone, 2 * np.maximum(1 - middle * scale, 0))
-            total[1:-1, 1:-1] += alone
+            middle = _square_gap(0.5 * (ends[0][0] + ends[1][0]), centre)
+            total[1:-1, 1:-1] += np.maximum(alone, 2 * np.maximum(1 - middle * scale, 0))
         votes.append(np.where(here, total, -1))
     return votes
 

@@ -94,15 +94,14 @@ def test_evidence_of_a_segment(rng, n_b):
 
 @pytest.mark.parametrize('settings', [SETTINGS, DecoderSettings(
     paper_weights=True, agreement_tolerance=0.3, min_support=1.3, prior_votes=0.8)])
-@pytest.mark.parametrize('grows', [True, False])
 @pytest.mark.parametrize('n_b', [0, 2])
-def test_merging(rng, settings, grows, n_b):
+def test_merging(rng, settings, n_b):
     given = evidence_reference.collect(segment(rng, n_b), settings)
     given.x_cur[::9] += 500  # outside the picture
     field = rng.normal(0, 4, (-(-HEIGHT // 16), -(-WIDTH // 16), 2)).astype(np.float32)
     for expected in (None, field):
-        found = merging.agreed(given, (WIDTH, HEIGHT), settings, expected, grows)
-        formula = merging_reference.merge(given, WIDTH, HEIGHT, settings, expected, grows)
+        found = merging.agreed(given, (WIDTH, HEIGHT), settings, expected)
+        formula = merging_reference.merge(given, WIDTH, HEIGHT, settings, expected)
         np.testing.assert_array_equal(found[3], formula[3])
         for a, b in zip(found[:3], formula[:3], strict=True):
             np.testing.assert_allclose(a, b, rtol=2e-6, atol=1e-5)
