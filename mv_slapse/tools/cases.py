@@ -89,7 +89,7 @@ LOST = range(80, 100)  # packets of 10 Hz; the road turns meanwhile
 ORIGINAL = 'h264_lowlatency.mp4'  # of a sequence; the one that is encoded anew
 GUESSED_FOCAL = 0.8  # of the width, where nobody knows the lens
 GRAIN = 1.0  # standard deviation of the noise added to pictures [grey levels]
-SEVERAL = ', several references'  # names the rows of videos with several reference pictures
+SEVERAL = 'several references, '  # names the rows of videos whose vectors mean several pictures
 GRAINY = ', noise'  # names the rows of pictures with noise
 
 
@@ -171,9 +171,9 @@ def streets(count: int, n_frames: int) -> list[Scene]:
 
 def references(count: int, n_frames: int) -> list[Scene]:
     """Return the first streets with movers once more, coded with several reference pictures."""
-    return [Scene(f'{scene.name}{SEVERAL}', partial(
-                _filmed_with, REFERENCES, f'{scene.name}{SEVERAL}', scene.make.args[1]))
-            for scene in streets(min(count, 2), n_frames) if not scene.name.startswith('quiet')]
+    return [Scene(kind, partial(_filmed_with, REFERENCES, kind, scene.make.args[1]))
+            for scene in streets(min(count, 2), n_frames) if not scene.name.startswith('quiet')
+            for kind in [SEVERAL + scene.name]]
 
 
 def drives() -> list[Scene]:

@@ -112,6 +112,17 @@ def test_what_comes_near_keeps_its_vectors_though_they_grow_from_block_to_block(
     assert inner.sum() == 8 * 6
 
 
+def test_vectors_that_grow_stay_beside_those_to_another_of_several_pictures(rng):
+    evidence = lattice(lambda x: 0.3 * (x - (80, 64)))  # 4.8 px more for each block
+    twice = rng.random(len(evidence)) < 0.2  # as long, as to the picture before the last
+    twice &= np.abs(evidence.vector).max(axis=1) > 8
+    evidence.vector[twice] *= 2
+    pair = merging.average(segment_of(evidence, references=3), evidence, SETTINGS)
+    error = np.abs(pair.x_prev - pair.x_cur - 0.3 * (pair.x_cur - (80, 64))).max(axis=1)
+    assert np.count_nonzero(error < 0.01) > 0.7 * np.count_nonzero(~twice)
+    assert np.count_nonzero(error > 4) < 0.3 * np.count_nonzero(twice)
+
+
 def test_opposite_neighbours_do_not_speak_for_what_is_not_half_way_between_theirs():
     evidence = lattice(lambda x: 0.3 * (x - (80, 64)) + 20 * (x == (71.5, 71.5)).all(
         axis=1, keepdims=True))

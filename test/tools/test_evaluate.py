@@ -5,6 +5,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from mv_slapse.codec.encoding.encoder import LOW_LATENCY, write_video
+from mv_slapse.codec.frames import FrameDecoder
 from mv_slapse.codec.source import open_source
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.simulation.flight import FISHEYE
@@ -25,11 +26,14 @@ def test_a_street_gives_a_row_for_each_encoding_with_its_errors(tmp_path):
                           '--cache', str(tmp_path / 'cache')])
     rows = list(csv.DictReader(output.with_suffix('.csv').open()))
     assert code == 0
-    assert [row['sequence'].split('/')[0] for row in rows] == ['street 0'] * len(cases.ENCODINGS)
+    kinds = {'street': cases.ENCODINGS, 'several references, street': cases.REFERENCES}
+    assert [row['sequence'].split('/')[0] for row in rows] == [
+        f'{kind} 0' for kind, encodings in kinds.items() for _ in encodings]
     for row in rows:
         assert int(row['n_poses']) > 3
         assert 0 < float(row['ate_mean_percent']) < 5
-    assert f'| street | {len(rows)} | ' in output.read_text()
+    for kind, encodings in kinds.items():
+        assert f'| {kind} | {len(encodings)} | ' in output.read_text()
 
 
 def test_an_encoding_alone_is_rendered_for_each_kind_of_street(tmp_path):
@@ -38,6 +42,14 @@ def test_an_encoding_alone_is_rendered_for_each_kind_of_street(tmp_path):
     case, = scenes[0].make(tmp_path, 'mpeg2')
     assert (case.name, case.video.exists()) == ('street 0/mpeg2.mpg', True)
     assert not list(scenes[1].make(tmp_path, 'street'))
+
+
+def test_vectors_of_videos_with_several_references_may_mean_several_pictures(tmp_path):
+    for case in cases.references(1, 8)[0].make(tmp_path, ''):
+        decoder = FrameDecoder(with_luma=False)
+        with open_source(case.video) as source:
+            frames = [frame for packet in source.packets() for frame in decoder.feed(packet)]
+        assert max(frame.references for frame in frames) >= 3
 
 
 def test_what_is_rendered_is_not_rendered_again(tmp_path, monkeypatch):
