@@ -72,6 +72,7 @@ MEASURES = (
     Measure('still so [%]', 'stationary_called_moving_percent', mean, -1, 0.02),
     Measure('in time', 'movers_confirmed_in_time', sum, 1, 0.5),
     Measure('hazards', 'hazards_in_time', sum, 1, 0.5),
+    Measure('others', 'others_in_time', sum, 1, 0.5),
     Measure('false braking', 'false_braking_frames', sum, -1, 0.5),
     Measure('relabelled', 'relabelled_in_time', sum, 1, 0.1),
     Measure('switches', 'identity_switches', sum, -1, 0.5),

@@ -2,7 +2,8 @@
 
 A *hazard* is a mover that the camera would meet if both went on as they do, seen to come within
 ASIDE of its way. It must be a confirmed obstacle by the time to contact BRAKES, or PROMPT after it
-covers LARGE macroblocks where that is later. *False braking* is a key frame with a confirmed
+covers LARGE macroblocks where that is later. Any *other* mover must be one PROMPT after it covers
+SEEN macroblocks. *False braking* is a key frame with a confirmed
 obstacle on the camera's way, its time to contact below BRAKES_FOR, where no mover is.
 """
 
@@ -22,7 +23,7 @@ import numpy as np
 
 ASIDE = 1.2  # [m] between the camera's way and the nearest side of what it meets
 HALF_WIDTH = 0.9  # [m] of a vehicle: from its middle, where an obstacle's position is, to its side
-LARGE = 12  # macroblocks
+LARGE, SEEN = 12, 9  # macroblocks
 BRAKES, LATEST = 2.0, 1.0  # [s] to contact by which it is in time, and late: later it is missed
 BRAKES_FOR = 3.0  # [s]
 SLOWEST = 0.5  # [m/s] slower, a camera's way has no direction
@@ -54,7 +55,7 @@ class Hazard(NamedTuple):
 
 def figures(obstacles: Table, stamps: np.ndarray, movers: Table | None, course: Course,
             points: PointLabels | None = None) -> dict[str, Any]:
-    """Return how many hazards are confirmed in time, and in how many key frames none is ahead.
+    """Return how many movers are confirmed in time, and in how many key frames none is ahead.
 
     Parameters
     ----------
@@ -72,7 +73,8 @@ def figures(obstacles: Table, stamps: np.ndarray, movers: Table | None, course: 
     if movers is not None:
         frames = tracking.key_frames(stamps, movers)
         if 'aside' in movers:
-            found = _hazards_met(movers, tracking.matched(rows, movers, frames))
+            met = tracking.matched(rows, movers, frames)
+            found = _hazards_met(movers, met) | _others_met(movers, met)
         rows = select(rows, ~tracking.on_movers(rows, movers, frames))
     if points is not None:
         rows = select(rows, ~hold_movers(rows, points))
@@ -89,6 +91,14 @@ def _hazards_met(movers: Table, met: list[tracking.Match]) -> dict[str, Any]:
                                    for hazard, stamp in first),
             'hazards_missed': sum(stamp is None for _, stamp in first),
             'contact_at_confirmation_s': float(np.median(contact)) if contact else None}
+
+
+def _others_met(movers: Table, met: list[tracking.Match]) -> dict[str, Any]:
+    ahead = {hazard.mover for hazard in hazards(movers)}
+    seen = ((movers['n_macroblocks'] >= SEEN) & (tracking.speed(movers) >= tracking.MOVING)
+            & ~np.isin(movers['id'], list(ahead)))
+    prompt = tracking.met_in_time(tracking.passages(movers, seen), met)
+    return {'others': len(prompt), 'others_in_time': sum(prompt)}
 
 
 def hazards(movers: Table) -> list[Hazard]:

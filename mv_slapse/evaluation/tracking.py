@@ -5,7 +5,7 @@ by a confirmed obstacle within PROMPT of its beginning, under one id from then o
 starts must become an obstacle, and one that stops must cease to be one, within RELABELLED.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from mv_slapse.evaluation.detection import (
@@ -118,18 +118,23 @@ def matched(rows: Table, movers: Table, frames: dict[int, int]) -> list[Match]:
     return found
 
 
+def met_in_time(due: Sequence[Passage], matches: Sequence[Match]) -> list[bool]:
+    """Return of each passage that lasts PROMPT whether it is met within that of its beginning."""
+    return [any(m.mover == mover and start <= m.stamp <= start + PROMPT for m in matches)
+            for mover, start, end in due if end - start >= PROMPT]
+
+
 def _tracked(due: list[Passage], matches: list[Match], frames: dict[int, int]) -> dict[str, Any]:
     """Return how many movers are tracked, and how many passages are met in time."""
     rows: dict[int, list[bool]] = {}
-    prompt = []
     for mover, start, end in due:
         if end - start < PROMPT:
             continue
         met = {m.stamp for m in matches if m.mover == mover and start <= m.stamp <= end}
-        prompt.append(any(stamp <= start + PROMPT for stamp in met))
         rows.setdefault(mover, []).extend(
             stamp in met for stamp in frames if start + PROMPT <= stamp <= end)
     hits = [np.mean(row) for row in rows.values() if row]
+    prompt = met_in_time(due, matches)
     return {'movers_tracked': sum(hit >= 0.5 for hit in hits), 'movers_trackable': len(hits),
             'movers_confirmed_in_time': sum(prompt), 'movers_due': len(prompt)}
 

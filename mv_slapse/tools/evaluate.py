@@ -54,6 +54,7 @@ PLANNER_COLUMNS = {
     'hazards': ('hazards', '{:d}'), 'in time': ('hazards_in_time', '{:d}'),
     'missed': ('hazards_missed', '{:d}'),
     'contact when confirmed [s]': ('contact_at_confirmation_s', '{:.1f}'),
+    'others': ('others', '{:d}'), 'others in time': ('others_in_time', '{:d}'),
     'false braking': ('false_braking_frames', '{:d}'), 'key frames': ('frames_judged', '{:d}')}
 
 

@@ -148,12 +148,14 @@ QUESTIONS = (
     Question('Is what lies ahead told a planner in time, and nothing else?',
              'Hazards: movers that the camera would meet if both went on as they do, within 1.2 m '
              'of its way. In time: confirmed at a time to contact of 2 s or more, or within 0.5 s '
-             'of covering 12 macroblocks where that is later; missed: not at 1 s either. False '
+             'of covering 12 macroblocks where that is later; missed: not at 1 s either. Others: '
+             'passages of other movers, in time within 0.5 s of covering 9 macroblocks. False '
              'braking: key frames with a confirmed obstacle on the camera\'s way, less than 3 s '
              'away, where nothing moves; where lengths are not known, on any way.',
              (_sum('hazards', 'hazards'), _sum('in time', 'hazards_in_time'),
               _sum('missed', 'hazards_missed'),
               _median('contact when confirmed [s]', 'contact_at_confirmation_s', '{:.1f}'),
+              _sum('others', 'others'), _sum('others in time', 'others_in_time'),
               _sum('false braking', 'false_braking_frames'),
               _sum('key frames', 'frames_judged')),
              'frames_judged', _kind),
@@ -225,7 +227,10 @@ def _summary(measured: Rows) -> str:
         _of(measured, 'movers_found', 'movers_total', 'labelled movers of the given clips are '
             'called moving', lambda name: name.kind == CLIPS),
         _of(measured, 'movers_confirmed_in_time', 'movers_due', 'passages of movers are confirmed '
-            'within 0.5 s', lambda name: name.mode == HEIGHT)) if line]
+            'within 0.5 s', lambda name: name.mode == HEIGHT),
+        _of(measured, 'others_in_time', 'others', 'passages of movers that are no hazard are '
+            'confirmed within 0.5 s of covering 9 macroblocks', lambda name: name.mode == HEIGHT)
+    ) if line]
     false = _values(measured, 'false_obstacles_per_frame')
     if false:
         lines.append(f'{sum(f == 0 for f in false)} of {len(false)} rows have no false obstacle, '

@@ -64,6 +64,19 @@ def test_what_goes_by_stands_or_stays_away_is_no_hazard(changed):
     assert counts(figures(table([]), movers(**changed))) == (0, 0, 0)
 
 
+@pytest.mark.parametrize(('first', 'others'), [(15, (1, 1)), (16, (1, 0))])
+def test_any_other_mover_is_in_time_half_a_second_after_it_covers_nine_macroblocks(first, others):
+    size = np.where(np.arange(N) < 10, 8, 9)
+    found = figures(table(range(first, N)), movers(n_macroblocks=size, aside=3.0))
+    assert (found['others'], found['others_in_time']) == others
+
+
+@pytest.mark.parametrize('changed', [
+    {'aside': 0.0}, {'aside': 3.0, 'vz': 0.1}, {'aside': 3.0, 'n_macroblocks': 8}])
+def test_hazards_and_what_stands_or_stays_small_are_no_others(changed):
+    assert figures(table(range(N)), movers(**changed))['others'] == 0
+
+
 def test_an_obstacle_on_another_mover_is_no_confirmation():
     assert counts(figures(table(range(N), x=300.0), movers())) == (1, 0, 1)
 
