@@ -246,8 +246,7 @@ ITSELF = gives(_prior_alone)
 NO_BLOCKS = gives(_no_blocks)
 LIKE_MOVERS = {MOVERS + 'possibly_dynamic:like_movers':
                gives(lambda shown, parallax: np.zeros(len(parallax), bool))}
-BELOW_GROUND = {MOVERS + 'possibly_dynamic:below':
-                gives(lambda seen, *_: np.zeros(len(seen.rho), bool))}
+BELOW_GROUND = {MOVERS + 'possibly_dynamic:below': NO_BLOCKS}
 FROM_MOVERS = {MOVERS + 'possibly_dynamic:taken':
                gives(lambda grid, x_prev: np.zeros(len(x_prev), bool))}
 
@@ -296,7 +295,7 @@ RULES = (
     Rule('name of a plane', 'a region that was a stationary plane keeps its name',
          {REGIONS + 'RULES': constants(same_plane=np.inf)}),
     Rule('grown movers', 'blocks around a mover that move with it join it',
-         {REGIONS + '_grown': gives(lambda pair, alike, planes, view:
+         {REGIONS + '_grown': gives(lambda alike, planes, _view:
                                     [alike.members[alike.rows(i)] for i in planes])}),
     Rule('copied vectors', 'wrong vectors that repeat their neighbours deserve less belief',
          {REGIONS + 'RULES': constants(repeated=-1.0)}),

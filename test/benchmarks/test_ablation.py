@@ -1,20 +1,68 @@
 """Rules are switched off as the table says, and what they earn is told from chance."""
 
 import inspect
+from pathlib import Path
 import subprocess
 import sys
 
 import ablation
+from mv_slapse.codec.encoding.encoder import LOW_LATENCY, write_video
+from mv_slapse.simulation.render import Renderer
+from mv_slapse.simulation.street import Street, StreetSettings
+from mv_slapse.storage.camera_info import write_camera
 import pytest
 import rules
 
 RULE = rules.BY_NAME['terrain']
+# Each rule in a process of its own, which goes on from where the libraries are loaded.
+WITHOUT_EACH = """
+import os, sys, traceback
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import rules
+from mv_slapse.pipeline import Slapse
+from mv_slapse.records import Label
+from mv_slapse.storage.camera_info import read_camera
+from mv_slapse.tools import rows
+folder = Path(sys.argv[2])
+camera = read_camera(folder / 'camera.yaml')
+
+def run():
+    settings = rows.settings_of(type('Case', (), {'height': 1.65}))
+    slapse = Slapse(camera, settings)
+    pairs = rows.decode(folder / 'street.mp4', camera, settings).pairs
+    return [slapse.step(pair).extraction for pair in pairs]
+
+# Else rules of movers have nothing to do.
+assert any(Label.MOVING in extraction.label for extraction in run())
+for rule in rules.RULES:
+    child = os.fork()
+    if not child:
+        try:
+            rules.switch_off(rule.name)
+            run()
+        except Exception:
+            print(rule.name, traceback.format_exc(), flush=True)
+        os._exit(0)
+    os.waitpid(child, 0)
+"""
 
 
 @pytest.mark.parametrize('path', sorted({path for rule in rules.RULES for path in rule.off}))
 def test_what_a_rule_replaces_is_there(path):
     holder, name = rules.place(path)
     assert inspect.getattr_static(holder, name) is not None
+
+
+def test_without_any_rule_a_drive_among_cars_is_measured(tmp_path):
+    street = Street(StreetSettings(n_frames=14, movers=('slower', 'faster', 'oncoming')))
+    write_camera(tmp_path / 'camera.yaml', street.camera)
+    write_video(tmp_path / 'street.mp4', (frame.image for frame in Renderer(street).frames()),
+                street.settings.fps, LOW_LATENCY)
+    said = subprocess.run(
+        [sys.executable, '-c', WITHOUT_EACH, str(Path(rules.__file__).parent), str(tmp_path)],
+        check=True, capture_output=True, text=True).stdout
+    assert not said
 
 
 def test_what_a_rule_changes_of_a_policy_is_in_it():
