@@ -29,6 +29,10 @@ def cells(text: str, first: str) -> list[str]:
     return [cell.strip() for cell in found.groups()]
 
 
+def total(rows: dict[str, dict[str, str]], name: str) -> int:
+    return sum(int(float(row[name] or 0)) for row in rows.values())
+
+
 def shown(row: dict[str, str], name: str) -> str:
     return f'{float(row[name]):.3f} %' if row[name] else 'scale free'
 
@@ -60,10 +64,19 @@ def test_the_cost_is_that_of_the_page_of_speed(clip):
 
 
 def test_passages_are_those_of_the_rows():
-    rows = [row for name, row in ROWS.items() if re.match(r'(street|crossing) \d', name)]
-    due, in_time = (sum(int(float(row[name] or 0)) for row in rows)
-                    for name in ('movers_due', 'movers_confirmed_in_time'))
-    assert f'Of {due} passages of moving cars on rendered streets {in_time} are' in README
+    streets = {name: row for name, row in ROWS.items()
+               if re.match(r'(street|crossing) \d', name)}
+    due, in_time = (total(streets, name) for name in ('movers_due', 'movers_confirmed_in_time'))
+    assert f'Of {due} passages of moving cars' in FIGURES
+    assert f'{in_time} are confirmed within 0.5 s of covering 6 macroblocks' in FIGURES
+    others, in_time = (total(ROWS, name) for name in ('others', 'others_in_time'))
+    assert f'Of {others} passages of other movers {in_time} are confirmed within 0.5 s' in README
+    assert f'{in_time} of {others}:' in FIGURES
+    quick = {name: row for name, row in ROWS.items() if 'lowlatency' in name}
+    told = '{1} of {0} in low-latency H.264'.format(
+        *(total(quick, name) for name in ('others', 'others_in_time')))
+    assert told in README
+    assert told in FIGURES
     found, of = re.search(r'(\d+) of (\d+) labelled movers of the given clips', RESULTS).groups()
     assert f'{found} of {of} are found' in FIGURES
 
@@ -73,16 +86,16 @@ def test_hazards_are_those_of_the_figures():
                         'missed', README).groups()
     assert 'of {} hazards {} are confirmed by a time to contact of 2 s'.format(*hazards) in FIGURES
     assert f'{hazards[2]} are not confirmed at 1 s either' in FIGURES
-    rows = [row for name, row in ROWS.items() if re.match(rf'({"|".join(HAZARDS)}) \d', name)]
+    rows = {name: row for name, row in ROWS.items()
+            if re.match(rf'({"|".join(HAZARDS)}) \d', name)}
     if not rows:
         pytest.skip('docs/results.csv is older than the drives toward hazards: make evaluate')
-    assert hazards == tuple(str(sum(int(float(row[name] or 0)) for row in rows)) for name in (
+    assert hazards == tuple(str(total(rows, name)) for name in (
         'hazards', 'hazards_in_time', 'hazards_missed'))
 
 
 def test_false_braking_is_that_of_the_rows():
-    brakes, judged = (sum(int(row[name] or 0) for row in ROWS.values())
-                      for name in ('false_braking_frames', 'frames_judged'))
+    brakes, judged = (total(ROWS, name) for name in ('false_braking_frames', 'frames_judged'))
     assert f'Over all rows it is {brakes} of {judged} key frames' in FIGURES
 
 
