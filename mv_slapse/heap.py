@@ -6,7 +6,7 @@ import ctypes
 # Of glibc's <malloc.h>: sizes of free memory at the heap's end, and of a block, that go back.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 THRESHOLD = 1 << 16  # bytes: smaller ones leave holes of 4 MB in all, those up to 256 KiB of 6 MB,
-# and with 1 MiB at the end a node's memory swings by MBs from minute to minute
+# and with 1 MiB at the end a node's memory swings by 3 MB from minute to minute
 
 
 def give_back_large_blocks():

@@ -44,7 +44,8 @@ for rule in rules.RULES:
         except Exception:
             print(rule.name, traceback.format_exc(), flush=True)
         os._exit(0)
-    os.waitpid(child, 0)
+    if os.waitpid(child, 0)[1]:
+        print(rule.name, 'ended the process', flush=True)
 """
 
 
