@@ -56,7 +56,7 @@ def test_what_a_rule_replaces_is_there(path):
 
 
 def test_without_any_rule_a_drive_among_cars_is_measured(tmp_path):
-    street = Street(StreetSettings(n_frames=14, movers=('slower', 'faster', 'oncoming')))
+    street = Street(StreetSettings(n_frames=9, movers=('slower', 'faster', 'oncoming')))
     write_camera(tmp_path / 'camera.yaml', street.camera)
     write_video(tmp_path / 'street.mp4', (frame.image for frame in Renderer(street).frames()),
                 street.settings.fps, LOW_LATENCY)
