@@ -3,8 +3,8 @@
 A *hazard* is a mover that the camera would meet if both went on as they do, seen to come within
 ASIDE of its way. It must be a confirmed obstacle by the time to contact BRAKES, or PROMPT after it
 covers LARGE macroblocks where that is later. Any *other* mover must be one PROMPT after it covers
-SEEN macroblocks. *False braking* is a key frame with a confirmed
-obstacle on the camera's way, its time to contact below BRAKES_FOR, where no mover is.
+SEEN macroblocks. *False braking* is a key frame with a confirmed obstacle on the camera's way, its
+time to contact below BRAKES_FOR, where no mover is.
 """
 
 from typing import Any, NamedTuple
@@ -73,8 +73,8 @@ def figures(obstacles: Table, stamps: np.ndarray, movers: Table | None, course: 
     if movers is not None:
         frames = tracking.key_frames(stamps, movers)
         if 'aside' in movers:
-            met = tracking.matched(rows, movers, frames)
-            found = _hazards_met(movers, met) | _others_met(movers, met)
+            ahead, met = hazards(movers), tracking.matched(rows, movers, frames)
+            found = _hazards_met(ahead, movers, met) | _others_met(ahead, movers, met)
         rows = select(rows, ~tracking.on_movers(rows, movers, frames))
     if points is not None:
         rows = select(rows, ~hold_movers(rows, points))
@@ -82,8 +82,9 @@ def figures(obstacles: Table, stamps: np.ndarray, movers: Table | None, course: 
     return found | {'false_braking_frames': len(np.unique(brakes)), 'frames_judged': len(stamps)}
 
 
-def _hazards_met(movers: Table, met: list[tracking.Match]) -> dict[str, Any]:
-    first = [(hazard, _first(hazard, met)) for hazard in hazards(movers)]
+def _hazards_met(ahead: list[Hazard], movers: Table, met: list[tracking.Match]
+                 ) -> dict[str, Any]:
+    first = [(hazard, _first(hazard, met)) for hazard in ahead]
     contact = [_contact(movers, hazard.mover, stamp) for hazard, stamp in first
                if stamp is not None]
     return {'hazards': len(first),
@@ -93,10 +94,9 @@ def _hazards_met(movers: Table, met: list[tracking.Match]) -> dict[str, Any]:
             'contact_at_confirmation_s': float(np.median(contact)) if contact else None}
 
 
-def _others_met(movers: Table, met: list[tracking.Match]) -> dict[str, Any]:
-    ahead = {hazard.mover for hazard in hazards(movers)}
+def _others_met(ahead: list[Hazard], movers: Table, met: list[tracking.Match]) -> dict[str, Any]:
     seen = ((movers['n_macroblocks'] >= SEEN) & (tracking.speed(movers) >= tracking.MOVING)
-            & ~np.isin(movers['id'], list(ahead)))
+            & ~np.isin(movers['id'], [hazard.mover for hazard in ahead]))
     prompt = tracking.met_in_time(tracking.passages(movers, seen), met)
     return {'others': len(prompt), 'others_in_time': sum(prompt)}
 
