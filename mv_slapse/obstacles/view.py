@@ -120,8 +120,7 @@ def _moved(plane, R, t):
 
 def _speed_error(extraction, scene, dt, last):
     """Return how well the last baselines compare, and by how much the speed has jumped."""
-    known = extraction.baseline_ratio_sigma < 1 and last is not None
-    if scene.scale_status is ScaleStatus.METRIC or not known:
+    if extraction.baseline_ratio_sigma >= 1 or last is None:
         return 1.0
     jump = extraction.baseline_ratio - np.log(dt / last.dt)
     drift = np.sqrt(SceneSettings.depth_dependence * SPAN / dt) * extraction.baseline_ratio_sigma
