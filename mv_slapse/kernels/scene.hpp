@@ -13,7 +13,7 @@
 namespace kernels {
 
 constexpr int PREVIOUS = 0, CURRENT = 6, MOUNT = 18, DEPTH_SCALE = 21, HEAVE = 22, PLANES = 23;
-constexpr int N_LASTING = 8;  // turn (3), place (2), height, speed, focal length
+constexpr int N_LASTING = 9;  // turn (3), place (2), height, speed, focal length, unit
 constexpr int LASTING_TURN = 0, LASTING_PLACE = 3, LASTING_FOCAL = 7;
 
 struct Pose {

@@ -276,13 +276,14 @@ Scene scene_of(const char* kernel, const py::object& camera, const py::object& p
   return scene;
 }
 
-// A row: kind, plane, value, sigma, lasting (8), R (9), t (3), slope (6); see Observation.
+// A row: kind, plane, value, sigma, lasting, R (9), t (3), slope (6); see Observation.
 std::vector<Observation> observations_of(const char* kernel, const py::object& rows,
                                          const Scene& scene) {
-  const In<double> given(kernel, "observations", rows, {ANY, 30}, Check::finite);
+  constexpr int WIDTH = 4 + N_LASTING + 18;
+  const In<double> given(kernel, "observations", rows, {ANY, WIDTH}, Check::finite);
   std::vector<Observation> out(given.size());
   for (std::size_t k = 0; k < out.size(); ++k) {
-    const double* row = given.data() + 30 * k;
+    const double* row = given.data() + WIDTH * k;
     require(row[0] >= 0 && row[0] <= static_cast<int>(Kind::depth_ratio), kernel,
             "observations name a kind that there is not");
     require(row[1] < static_cast<double>(scene.planes.size()) && row[3] > 0, kernel,
@@ -295,9 +296,10 @@ std::vector<Observation> observations_of(const char* kernel, const py::object& r
     one.value = row[2];
     one.sigma = row[3];
     std::copy_n(row + 4, N_LASTING, one.lasting);
-    std::copy_n(row + 12, 9, one.R.begin());
-    std::copy_n(row + 21, 3, one.t.begin());
-    std::copy_n(row + 24, 6, one.slope);
+    const double* depths = row + 4 + N_LASTING;
+    std::copy_n(depths, 9, one.R.begin());
+    std::copy_n(depths + 9, 3, one.t.begin());
+    std::copy_n(depths + 12, 6, one.slope);
   }
   return out;
 }

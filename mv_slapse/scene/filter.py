@@ -190,8 +190,9 @@ class SceneFilter:
         if not started:
             return TrackingStatus.INITIALISING, TURNING
         scene_state.halt(self._state, -rotation.log(motion.R_cur_from_prev) / dt, noise / dt**2)
-        if self._progress.metric:  # else nothing but the map has told the length
-            scene_ratio.doubt(self._state, scene_ratio.TURNING)
+        view = 2 * np.arctan(0.5 * extraction.width / focal)
+        scene_ratio.turn(self._state, rotation.angle(motion.R_cur_from_prev) / view,
+                         self._progress.metric)
         return self._rested(extraction, TURNING)
 
     def _predict(self, dt: float):

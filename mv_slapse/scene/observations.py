@@ -40,15 +40,15 @@ class Observation:
     depths: np.ndarray = field(default_factory=lambda: np.zeros(18))
 
     def row(self, state: SceneState) -> np.ndarray:
-        """Return it (30,) as the kernels take it; the plane by its position in the state."""
+        """Return it (31,) as the kernels take it; the plane by its position in the state."""
         place = -1 if self.plane is None else list(state.planes).index(self.plane)
         return np.concatenate([(self.kind, place, self.value, self.sigma), self.lasting,
                                self.depths])
 
 
 def rows(observations: list[Observation], state: SceneState) -> np.ndarray:
-    """Return observations (K, 30) as the kernels take them."""
-    return np.array([one.row(state) for one in observations]).reshape(-1, 30)
+    """Return observations (K, 31) as the kernels take them."""
+    return np.array([one.row(state) for one in observations]).reshape(-1, 31)
 
 
 def linearised(observation: Observation, state: SceneState) -> tuple[np.ndarray, np.ndarray]:

@@ -15,9 +15,10 @@ from mv_slapse.geometry.rotation import norm
 import numpy as np
 
 # Errors that are not estimated: turn by which all vectors err, place in their blocks that they
-# tell of, camera height, speed that is given, focal length.
-TURN, PLACE, HEIGHT, SPEED, FOCAL = slice(0, 3), slice(3, 5), slice(5, 6), slice(6, 7), 7
-N_LASTING = FOCAL + 1
+# tell of, camera height, speed that is given, focal length, and the map's unit after turns.
+TURN, PLACE, HEIGHT, SPEED = slice(0, 3), slice(3, 5), slice(5, 6), slice(6, 7)
+FOCAL, LENGTH = 7, 8
+N_LASTING = LENGTH + 1
 # Where the blocks of the camera begin in the error state; they are the first and stay.
 CUR, VEL, OM, CAMERA = 6, 12, 15, 18
 THETA, PLACE_NOW = slice(CUR, CUR + 3), slice(CUR + 3, VEL)

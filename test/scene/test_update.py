@@ -202,13 +202,15 @@ def test_dependence_and_bias_widen_the_covariance(rng, scene):
 
 
 def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
-    """A turn of all vectors, places beside the middle, a wrong height, speed or focal length."""
+    """A turn of all vectors, places beside the middle, a wrong height, speed, focal length, unit."""
     settings = replace(SIMPLE, vector_bias=0.05, mover_bias=0.02, place_bias=0.5,
                        focal_sigma=0.002)
 
     length = np.linalg.norm(scene.t)
 
-    def posterior(turn, height, beside=(0.0, 0.0), longer=0.0, faster=0.0):
+    own = scene_ratio.Depths(scene.R, scene.t / length, np.zeros(6), 0.0)
+
+    def posterior(turn, height, beside=(0.0, 0.0), longer=0.0, faster=0.0, unit=0.0):
         rays = scene.pair.rays_prev @ rotation.exp(-turn).T
         offset = np.r_[np.array(beside) / scene.pair.focal, 0.0]
         wide = np.array([1 + longer, 1 + longer, 1])
@@ -216,9 +218,11 @@ def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
         pair = replace(scene.pair, rays_prev=rays, x_prev=to_pixels(K, rays),
                        rays_cur=(scene.pair.rays_cur - offset) * wide)
         state = state_before(scene, np.random.default_rng(1))
+        state.depth_scale = np.log(length) + unit
+        scene_ratio.turn(state, 0.01, metric=False)
         found = scene_update.update(
             state, np.zeros(state.size), pair, (scene.surface, IDS), settings,
-            [formulas.camera_height(ROAD, height, 0.03, 0.02),
+            [scene_ratio.observed(own, 0.02), formulas.camera_height(ROAD, height, 0.03, 0.02),
              scene_observations.baseline(length * np.exp(faster), 0.02, 0.01)])
         return state.error_to(found)[6:12], found
 
@@ -230,6 +234,7 @@ def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
     shifts.append(posterior(np.zeros(3), 1.67)[0] - base)
     shifts.append(posterior(np.zeros(3), 1.65, faster=0.01)[0] - base)
     shifts.append(posterior(np.zeros(3), 1.65, longer=0.002)[0] - base)
+    shifts.append(posterior(np.zeros(3), 1.65, unit=0.1 * scene_ratio.TURNING)[0] - base)
     columns = found.error.lasting[found.at('current')]
     scale = np.sqrt(np.diag(found.error.total))[6:12, None]
     np.testing.assert_allclose(columns / scale, np.transpose(shifts) / scale, atol=0.1)

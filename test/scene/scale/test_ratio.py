@@ -47,6 +47,19 @@ def test_the_jacobian_is_the_numerical_one_of_the_innovation(state, rng):
     assert observation.sigma == 0.006
 
 
+@pytest.mark.parametrize('metric', [False, True])
+def test_a_turn_makes_the_unit_less_sure_by_its_angle(state, metric):
+    at, before = state.at('depth_scale'), state.error.total
+    for angle in (0.5, 0.0, 1.5):
+        scene_ratio.turn(state, angle, metric)
+    grown = state.error.total - before
+    expected = np.zeros_like(grown)
+    expected[at, at] = 2 * scene_ratio.TURNING**2
+    np.testing.assert_allclose(grown, expected, atol=1e-12)
+    # Where planes may put the length right, the error is the filter's; else it lasts.
+    assert bool(np.any(state.error.lasting)) is not metric
+
+
 def depths_change(depths, state):
     """Return the mean log of inverse depth at a state's motion over depths', and derivative."""
     value, H = scene_state.log_baseline(state)
