@@ -202,7 +202,7 @@ def test_dependence_and_bias_widen_the_covariance(rng, scene):
 
 
 def test_errors_that_last_shift_the_update_as_the_covariance_says(rng, scene):
-    """A turn of all vectors, places beside the middle, a wrong height, speed, focal length, unit."""
+    """A turn of all vectors, places beside the middle, wrong height, speed, focal length, unit."""
     settings = replace(SIMPLE, vector_bias=0.05, mover_bias=0.02, place_bias=0.5,
                        focal_sigma=0.002)
 
