@@ -162,38 +162,40 @@ def lossy(data: Path) -> list[Scene]:
             for kind, height in LOSSES.items() if (data / 'kitti00' / ORIGINAL).exists()]
 
 
-def streets(count: int, n_frames: int) -> list[Scene]:
-    """Return streets of different seeds."""
+def streets(count: int, n_frames: int, first: int = 0) -> list[Scene]:
+    """Return streets of different seeds, from the first on."""
     return [_street(f'{kind} {seed}', StreetSettings(
                 seed=seed, n_frames=n_frames, movers=TRAFFIC[kind][seed % len(TRAFFIC[kind])]))
-            for kind, seed in product(TRAFFIC, range(count))]
+            for kind, seed in product(TRAFFIC, range(first, first + count))]
 
 
-def references(count: int, n_frames: int) -> list[Scene]:
+def references(count: int, n_frames: int, first: int = 0) -> list[Scene]:
     """Return the first streets with movers once more, coded with several reference pictures."""
     return [Scene(kind, partial(_filmed_with, REFERENCES, kind, scene.make.args[1]))
-            for scene in streets(min(count, 2), n_frames) if not scene.name.startswith('quiet')
+            for scene in streets(min(count, 2), n_frames, first)
+            if not scene.name.startswith('quiet')
             for kind in [SEVERAL + scene.name]]
 
 
-def drives() -> list[Scene]:
+def drives(first: int = 0) -> list[Scene]:
     """Return the streets in which the camera does not simply drive ahead."""
     return [_street(kind, StreetSettings(seed=10 + seed, **settings))
-            for seed, (kind, settings) in enumerate(DRIVES.items())]
+            for seed, (kind, settings) in enumerate(DRIVES.items(), first)]
 
 
-def hazards(count: int) -> list[Scene]:
+def hazards(count: int, first: int = 0) -> list[Scene]:
     """Return drives of different seeds toward what a planner must brake for, and what not."""
     return [_street(f'{kind} {seed}', StreetSettings(
                 **{'seed': 30 + seed, 'n_frames': HAZARD_FRAMES, **settings}))
-            for (kind, settings), seed in product(HAZARDS.items(), range(count))]
+            for (kind, settings), seed in product(HAZARDS.items(), range(first, first + count))]
 
 
-def flights() -> list[Scene]:
+def flights(first: int = 0) -> list[Scene]:
     """Return flights through rooms and halls; the scale is free."""
     halls = {kind: (lens, FlightSettings(**{**HALL, 'seed': 20 + seed, **settings}))
              for seed, (kind, (lens, settings)) in enumerate(HALLS.items())}
-    return [Scene(kind, partial(_flight, kind, lens, settings, 0.0))
+    return [Scene(kind, partial(_flight, kind, lens, replace(settings, seed=settings.seed + first),
+                                0.0))
             for kind, (lens, settings) in (FLIGHTS | halls).items()]
 
 

@@ -80,9 +80,10 @@ def all_scenes(options: argparse.Namespace) -> list[Scene]:
     if data.is_dir():
         found = [*cases.given(data), *cases.cameraless(data), *cases.recoded(data),
                  *cases.lossy(data), *altered(data)]
-    found += [*cases.streets(options.streets, options.frames),
-              *cases.references(options.streets, options.frames), *cases.drives(),
-              *cases.hazards(options.hazards), *cases.flights()]
+    first = options.first_seed
+    found += [*cases.streets(options.streets, options.frames, first),
+              *cases.references(options.streets, options.frames, first), *cases.drives(first),
+              *cases.hazards(options.hazards, first), *cases.flights(first)]
     return found
 
 
@@ -110,6 +111,9 @@ def add_options(parser: argparse.ArgumentParser):
     parser.add_argument('--streets', type=int, default=STREETS, help='rendered streets')
     parser.add_argument('--hazards', type=int, default=HAZARDS,
                         help='rendered drives toward each kind of hazard')
+    parser.add_argument('--first-seed', type=int, default=0, metavar='SEED',
+                        help='first random seed of rendered scenes: of scenes that nobody has '
+                        'looked at (default: 0, those of docs/results.md)')
     parser.add_argument('--frames', type=int, default=STREET_FRAMES, help='pictures of a street')
     parser.add_argument('--cache', type=Path, default=CACHE,
                         help='folder of what is rendered, encoded, decoded and measured; what is '
