@@ -43,7 +43,7 @@ class View:
     def compared_covariance(self) -> np.ndarray:
         """Return the covariance (3, 3) of the scene's velocity against that of obstacles.
 
-        A free scale drifts, but the depths of obstacles share it.
+        Both hang on one scale, so an error of that, as of a free one that drifts, is shared.
         """
         speed = max(norm(self.scene_velocity), 1e-12)
         ahead = self.scene_velocity / speed
@@ -99,7 +99,7 @@ def view_of(extraction: Extraction, scene: SceneEstimate, before: SceneEstimate 
                 motion.covariance[:3, :3], *_ground(scene, last),
                 np.array([extraction.width, extraction.height], float),
                 scene.scale_status is ScaleStatus.METRIC,
-                _speed_error(extraction, scene, dt, last))
+                _speed_error(extraction, dt, last))
 
 
 def relative_motion(before: SceneEstimate, now: SceneEstimate) -> tuple[np.ndarray, np.ndarray]:
@@ -118,7 +118,7 @@ def _moved(plane, R, t):
     return rotated / scale, (R + np.outer(rotated / scale, t @ R)) / scale
 
 
-def _speed_error(extraction, scene, dt, last):
+def _speed_error(extraction, dt, last):
     """Return how well the last baselines compare, and by how much the speed has jumped."""
     if extraction.baseline_ratio_sigma >= 1 or last is None:
         return 1.0

@@ -133,7 +133,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     measured = measure_all(all_scenes(options), cache_of(options), workers_of(options), tell)
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(page(measured, commit_of(Path.cwd())))
+    options.output.write_text(page(measured, commit_of(Path.cwd()), options.first_seed))
     options.output.with_suffix('.csv').write_text(rows_as_csv(measured))
     return 0
 

@@ -18,9 +18,9 @@ CLIPS = 'given clips'
 WORST_SHOWN = 10
 HEAD = """# Results
 
-Made by `make evaluate` at commit {commit}, default settings, `--camera-height` where the data set
-tells it. A row is `mv_slapse run VIDEO --camera camera.yaml [--camera-height H] -o OUT`, then
-`mv_slapse eval OUT --ground-truth …`; all {n} rows with all figures stand in
+Made by `make evaluate{options}` at commit {commit}, default settings, `--camera-height` where the
+data set tells it. A row is `mv_slapse run VIDEO --camera camera.yaml [--camera-height H] -o OUT`,
+then `mv_slapse eval OUT --ground-truth …`; all {n} rows with all figures stand in
 [results.csv](results.csv). Speed given: `--speed` drawn from the truth with 1 % noise, in place of
 the height; free scale: neither. A scene, and each mover in it, is in the tables once for each
 encoding ({encodings}).
@@ -164,11 +164,13 @@ QUESTIONS = (
              'cpu_ms', _kind))
 
 
-def page(measured: Rows, commit: str) -> str:
-    """Return the page, given the figures of each row."""
+def page(measured: Rows, commit: str, first_seed: int = 0) -> str:
+    """Return the page, given the figures of each row and the first seed of what is rendered."""
     encodings = ', '.join(dict.fromkeys(name_of(row).encoding for row in measured
                                         if not row.startswith('original')))
-    return '\n'.join([HEAD.format(commit=commit, n=len(measured), encodings=encodings)
+    options = f' ARGS="--first-seed {first_seed}"' if first_seed else ''
+    return '\n'.join([HEAD.format(commit=commit, n=len(measured), encodings=encodings,
+                                  options=options)
                       + _summary(measured), *(_table(q, measured) for q in QUESTIONS),
                       _failures(measured)]).rstrip() + '\n'
 

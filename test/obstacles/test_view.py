@@ -118,9 +118,9 @@ def along(covariance, view):
     (ScaleStatus.UNKNOWN, 1e-5, 0.3, 0.3),
     (ScaleStatus.UNKNOWN, 0.02, 5.0, 0.5),
     (ScaleStatus.UNKNOWN, np.inf, 0.0, 0.5),
-    (ScaleStatus.METRIC, 0.02, 0.0, 0.5)])
-def test_a_drifting_scale_is_no_error_between_obstacle_and_scene(pair, status, sigma, jump,
-                                                                 expected):
+    (ScaleStatus.METRIC, 0.02, 0.0, np.sqrt(6 * 1.0 / DT) * 0.02)])
+def test_a_wrong_scale_is_no_error_between_obstacle_and_scene(pair, status, sigma, jump,
+                                                          expected):
     extraction, scene = pair
     last = replace(view_of(*pair, None), dt=2 * DT)
     extraction = replace(extraction, baseline_ratio=np.log(0.5) + jump,

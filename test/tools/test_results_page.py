@@ -43,6 +43,12 @@ def test_scenes_of_one_kind_are_one_line_with_median_worst_and_sum():
     assert '| given clips, mpeg2 | 1 | 1 | 2 |  |  |' in moving
 
 
+def test_the_page_says_how_it_was_made():
+    assert 'by `make evaluate` at commit abc' in results_page.page(MEASURED, 'abc')
+    assert ('by `make evaluate ARGS="--first-seed 100"` at commit abc'
+            in results_page.page(MEASURED, 'abc', first_seed=100))
+
+
 def test_ten_lines_say_it_in_short():
     page = results_page.page(MEASURED, 'abc')
     short = [line for line in page.splitlines() if line.startswith('* ')]
