@@ -120,7 +120,8 @@ def _moved(plane, R, t):
 
 def _speed_error(extraction, dt, last):
     """Return how well the last baselines compare, and by how much the speed has jumped."""
-    if extraction.baseline_ratio_sigma >= 1 or last is None:
+    known = extraction.baseline_ratio_sigma < 1 and last is not None
+    if not known:
         return 1.0
     jump = extraction.baseline_ratio - np.log(dt / last.dt)
     drift = np.sqrt(SceneSettings.depth_dependence * SPAN / dt) * extraction.baseline_ratio_sigma

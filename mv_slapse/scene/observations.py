@@ -13,6 +13,7 @@ from mv_slapse.scene.state import N_LASTING, SceneState, SPEED
 import numpy as np
 
 PAIR_HEIGHT = 1e-3  # share of the height by which a pair errs besides: crown and ruts
+WIDTH = 4 + N_LASTING + 18  # of an observation as a row of numbers
 
 
 class Kind(IntEnum):
@@ -40,15 +41,15 @@ class Observation:
     depths: np.ndarray = field(default_factory=lambda: np.zeros(18))
 
     def row(self, state: SceneState) -> np.ndarray:
-        """Return it (31,) as the kernels take it; the plane by its position in the state."""
+        """Return it (WIDTH,) as the kernels take it; the plane by its position in the state."""
         place = -1 if self.plane is None else list(state.planes).index(self.plane)
         return np.concatenate([(self.kind, place, self.value, self.sigma), self.lasting,
                                self.depths])
 
 
 def rows(observations: list[Observation], state: SceneState) -> np.ndarray:
-    """Return observations (K, 31) as the kernels take them."""
-    return np.array([one.row(state) for one in observations]).reshape(-1, 31)
+    """Return observations (K, WIDTH) as the kernels take them."""
+    return np.array([one.row(state) for one in observations]).reshape(-1, WIDTH)
 
 
 def linearised(observation: Observation, state: SceneState) -> tuple[np.ndarray, np.ndarray]:

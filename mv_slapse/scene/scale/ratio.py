@@ -128,11 +128,13 @@ def turn(state: SceneState, angle: float, metric: bool):
     Where nothing but the map has told the length, planes err as its depths do, and must not put
     them right: the error lasts then.
     """
-    sigma, at = TURNING * np.sqrt(angle), state.at('depth_scale')
+    sigma = TURNING * np.sqrt(angle)
     if metric:
         doubt(state, sigma)
-    else:
-        state.error.lasting[at, LENGTH] = np.hypot(state.error.lasting[at, LENGTH], sigma)
+    else:  # its sign is that of what it has done to the rest of the state
+        at = state.at('depth_scale')
+        before = state.error.lasting[at, LENGTH]
+        state.error.lasting[at, LENGTH] = np.copysign(np.hypot(before, sigma), before)
 
 
 def move(state: SceneState, log_ratio: float, sigma: float):

@@ -60,6 +60,14 @@ def test_a_turn_makes_the_unit_less_sure_by_its_angle(state, metric):
     assert bool(np.any(state.error.lasting)) is not metric
 
 
+def test_a_turn_adds_to_an_error_that_lasts_with_its_sign(state):
+    at = state.at('depth_scale')
+    state.error.lasting[at, scene_state.LENGTH] = -0.1
+    scene_ratio.turn(state, 0.5, metric=False)
+    assert state.error.lasting[at, scene_state.LENGTH] == pytest.approx(
+        -np.hypot(0.1, scene_ratio.TURNING * np.sqrt(0.5)))
+
+
 def depths_change(depths, state):
     """Return the mean log of inverse depth at a state's motion over depths', and derivative."""
     value, H = scene_state.log_baseline(state)
