@@ -172,7 +172,7 @@ class PlaneExtractor:
         """Label the supported rows of a camera that turns on the spot; None where it moves."""
         settings, pair = self._settings, seen.pair
         R, covariance, off = estimate.turn(pair, fit.R_cur_from_prev)
-        if not block_observations.turns_only(off * pair.sigma, settings.epsilon_m):
+        if not block_observations.turns_only(off * pair.sigma, seen.rho, settings.epsilon_m):
             return None
         carried = self._map(whole)
         way = carried.turning(pair, known, R)

@@ -75,13 +75,15 @@ def may_turn(parallax: np.ndarray, epsilon_m: float) -> bool:
     return np.count_nonzero(parallax < TURNING_PARALLAX * epsilon_m) > len(parallax) / 2
 
 
-def turns_only(off: np.ndarray, epsilon_m: float) -> bool:
+def turns_only(off: np.ndarray, rho: np.ndarray, epsilon_m: float) -> bool:
     """Tell whether a rotation explains a pair: next to no block is ``off`` (N,) [px] from it.
 
     Of a camera that moves by 5 cm, 22 % of the blocks or more are off by twice ``epsilon_m`` [px]
-    on every stream that was measured; of one that turns on the spot up to 10 %.
+    on every stream that was measured; of one that turns on the spot up to 10 %. In little light it
+    is up to 40 %: vectors are wrong there, and put as many blocks behind the camera, by their
+    inverse depths ``rho`` (N,), as before it. Such pairs cancel out.
     """
-    return bool(np.mean(off > 2 * epsilon_m) < TURNING_SHARE)
+    return bool(np.mean((off > 2 * epsilon_m) * np.sign(rho)) < TURNING_SHARE)
 
 
 def observe(pair: two_view.Pair, fit: MotionFit, epsilon_f: float, epsilon_m: float,
