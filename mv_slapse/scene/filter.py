@@ -174,6 +174,7 @@ class SceneFilter:
         """Note that the camera has not moved; planes out of view do not age meanwhile."""
         progress = self._progress
         progress.rested = progress.started
+        progress.carried &= not progress.refused
         progress.see(extraction.stamp)
         self._map.wait(extraction.stamp - extraction.previous_stamp)
         return TrackingStatus.OK, reason
@@ -270,6 +271,8 @@ class SceneFilter:
         rigid = self._rigid(ground)
         if rigid and follows:
             scene_ratio.doubt(self._state, scene_ratio.ABOVE_GROUND)
+        elif follows and not self._progress.metric:
+            scene_ratio.doubt_for_good(self._state, scene_ratio.sampling(extraction, settings))
         ratio = (scene_ratio.told(self._state, extraction, depths, settings, self._progress.rested,
                                   bool(known)) if follows else [])
         if ratio:  # braking hard, a step from the length predicted would go beyond zero

@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 from mv_slapse.config import SceneSettings
-from mv_slapse.records import TrackingStatus
+from mv_slapse.records import MotionStatus, TrackingStatus
 from mv_slapse.scene.filter import SceneFilter
 from mv_slapse.scene.progress import PATIENCE
+from mv_slapse.scene.state import LENGTH
 import numpy as np
 import pytest
 from scene_drive import Canyon, driven, METRIC, SPEED
@@ -47,6 +48,47 @@ def test_depths_that_contradict_for_long_are_compared_with_the_map_no_more():
     assert all(one.status is TrackingStatus.PREDICTED for one in statuses[:PATIENCE + 1])
     assert statuses[-1].status is TrackingStatus.OK
     assert statuses[-1].baseline == pytest.approx(1, rel=0.05)
+
+
+@pytest.mark.parametrize('wrong', [2.5, 0.0])
+def test_depths_that_contradicted_until_a_rest_have_no_scale_after_it(wrong):
+    def way(time):
+        return SPEED * (min(time, 1.2) + max(time - 1.5, 0.0))  # stands for pairs 13 to 15
+
+    canyon, filter_ = Canyon(way=way), SceneFilter(SceneSettings())
+    for k in range(1, 13):
+        filter_.step(bare(canyon, k, wrong * (k == 12)))
+    for k in range(13, 16):
+        filter_.step(canyon.blank(k, MotionStatus.STANDSTILL, ''))
+    # As long as the last way before the rest.
+    shown = replace(bare(canyon, 16), baseline_ratio=0.0, baseline_ratio_sigma=0.002)
+    estimate, P = filter_.step(shown)[0], filter_._state.P
+    at = filter_._state.at('depth_scale')
+    if wrong:
+        assert estimate.baseline < 1.5  # by the depths it would be 12 times the others
+        assert np.sqrt(P[at, at].item()) > 0.5
+    else:
+        assert estimate.baseline == pytest.approx(1, rel=0.02)
+        assert np.sqrt(P[at, at].item()) < 0.05
+
+
+@pytest.mark.parametrize('sigma', [1e-4, 0.01])
+def test_a_free_scale_is_less_sure_with_each_ratio_by_what_that_errs_by(sigma):
+    canyon, settings = Canyon(), SceneSettings()
+    filter_ = SceneFilter(settings)
+    for k in range(1, 21):
+        filter_.step(replace(bare(canyon, k), baseline_ratio_sigma=sigma))
+    at = filter_._state.at('depth_scale')
+    expected = sigma * np.sqrt(19 * settings.depth_dependence)
+    assert filter_._state.error.lasting[at, LENGTH].item() == pytest.approx(expected, rel=0.1)
+
+
+def test_a_metric_scale_is_put_right_by_the_ground_and_errs_by_nothing_for_good():
+    canyon, filter_ = Canyon(), SceneFilter(METRIC)
+    for k in range(1, 21):
+        filter_.step(replace(canyon.extraction(k), baseline_ratio_sigma=0.01))
+    lasting = filter_._state.error.lasting[filter_._state.at('depth_scale'), LENGTH]
+    assert abs(lasting.item()) < 0.001
 
 
 def test_a_flight_that_takes_off_may_soon_be_many_times_as_fast():

@@ -63,11 +63,16 @@ def told(state: SceneState, extraction: Extraction, depths: Depths, settings: Sc
     far the two err together is not known: the variance then counts twice, as in an intersection
     of covariances with equal weights.
     """
-    sampling = extraction.baseline_ratio_sigma * np.sqrt(settings.depth_dependence)
-    sigma, log = float(np.hypot(sampling, settings.ratio_sigma)), extraction.baseline_ratio
+    sigma = float(np.hypot(sampling(extraction, settings), settings.ratio_sigma))
+    log = extraction.baseline_ratio
     held = rested or holds(state, log, float(np.sqrt(sigma**2 + depths.variance)))
     move(state, log, settings.ratio_drift)
     return [observed(depths, sigma * np.sqrt(1 + shared))] if held else []
+
+
+def sampling(extraction: Extraction, settings: SceneSettings) -> float:
+    """Return by what share a pair's ratio errs, as its vectors do."""
+    return extraction.baseline_ratio_sigma * np.sqrt(settings.depth_dependence)
 
 
 def baseline(state: SceneState, extraction: Extraction) -> float:
@@ -122,19 +127,20 @@ def doubt(state: SceneState, sigma: float):
     state.error.P[at, at] += sigma**2
 
 
-def turn(state: SceneState, angle: float, metric: bool):
-    """Make it less sure after a turn on the spot by an angle [angles of view].
+def doubt_for_good(state: SceneState, sigma: float):
+    """Make it less sure by a share of which no plane tells anything.
 
     Where nothing but the map has told the length, planes err as its depths do, and must not put
     them right: the error lasts then.
     """
-    sigma = TURNING * np.sqrt(angle)
-    if metric:
-        doubt(state, sigma)
-    else:  # its sign is that of what it has done to the rest of the state
-        at = state.at('depth_scale')
-        before = state.error.lasting[at, LENGTH]
-        state.error.lasting[at, LENGTH] = np.copysign(np.hypot(before, sigma), before)
+    at = state.at('depth_scale')
+    before = state.error.lasting[at, LENGTH]  # its sign is that of what it has done to the rest
+    state.error.lasting[at, LENGTH] = np.copysign(np.hypot(before, sigma), before)
+
+
+def turn(state: SceneState, angle: float, metric: bool):
+    """Make it less sure after a turn on the spot by an angle [angles of view]."""
+    (doubt if metric else doubt_for_good)(state, TURNING * np.sqrt(angle))
 
 
 def move(state: SceneState, log_ratio: float, sigma: float):
