@@ -190,7 +190,7 @@ class Track:
         # A bumper ends above the road, so that what stands looks as if it came towards the camera.
         nearer = EDGE.clearance if self.scale_prior is ScalePrior.GROUND_CONTACT else 0.0
         statistic = om.moving_statistic(self.mu, self.P, view.scene_velocity,
-                                        view.compared_covariance, nearer)
+                                        view.scene_covariance, nearer)
         speed = norm(self.motion(view).velocity)
         self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic,
                                       nis, dof, speed, overlap, detection.score))

@@ -11,7 +11,7 @@ import numpy as np
 SPAN = 1.0  # [s] whose baselines tell the depth of an obstacle
 UNSCALED_SPEED = 0.1  # a unit, 1 m/s or m/s^2, as a share of the camera's speed, without a scale
 OUT_OF_SIGHT = 0.2  # [s] a pair or two without ground; up to then the map knows better
-LEAST_SPEED_ERROR = 0.01  # share of the camera's speed, if its filter claims to know better
+LEAST_SPEED_ERROR = 0.01  # share of the camera's speed, where anything claims to know better
 
 
 @dataclass(frozen=True)
@@ -26,29 +26,17 @@ class View:
     dt: float  # time of the pair [s]
     unit: float  # length of the pair's baseline [map unit]
     scene_velocity: np.ndarray  # (3,): of the still scene relative to the camera [map unit/s]
-    scene_covariance: np.ndarray  # (3, 3): in its axes [map unit/s]
+    scene_covariance: np.ndarray  # (3, 3): of it against that of obstacles [map unit/s]
     rotation_covariance: np.ndarray  # (3, 3): of R_cur_from_prev
     ground: np.ndarray | None  # (3,): ground plane n / d in the camera [1/map unit]
     ground_normal_covariance: np.ndarray  # (3, 3): of its unit normal in the camera
     size: np.ndarray  # (2,): width and height of the picture [px]
     is_metric: bool
-    speed_error: float = 1.0  # share of the scene's speed that lengths of obstacles may differ by
 
     @cached_property
     def focal(self) -> np.ndarray:
         """Return fx, fy (2,) [px]."""
         return self.K.diagonal()[:2]
-
-    @cached_property
-    def compared_covariance(self) -> np.ndarray:
-        """Return the covariance (3, 3) of the scene's velocity against that of obstacles.
-
-        Both hang on one scale, so an error of that, as of a free one that drifts, is shared.
-        """
-        speed = max(norm(self.scene_velocity), 1e-12)
-        ahead = self.scene_velocity / speed
-        shared = ahead @ self.scene_covariance @ ahead - (self.speed_error * speed)**2
-        return self.scene_covariance - max(shared, 0.0) * np.outer(ahead, ahead)
 
     @cached_property
     def speed_unit(self) -> float:
@@ -94,12 +82,14 @@ def view_of(extraction: Extraction, scene: SceneEstimate, before: SceneEstimate 
     R, t = motion.R_cur_from_prev, unit * motion.t_cur_from_prev
     if motion.status is MotionStatus.UNKNOWN and before is not None:
         R, t = relative_motion(before, scene)
+    velocity, covariance = t / dt, np.zeros((3, 3))
+    if norm(velocity) > 1e-9:  # else the camera stands
+        error = _speed_error(extraction, velocity, scene, dt, last) * velocity
+        covariance = (unit / dt)**2 * motion.covariance[3:, 3:] + np.outer(error, error)
     return View(extraction.K, scene.R_world_from_cam, scene.t_world_from_cam, R, t, dt, unit,
-                t / dt, _scene_covariance(t / dt, unit / dt, motion.covariance[3:, 3:], scene),
-                motion.covariance[:3, :3], *_ground(scene, last),
+                velocity, covariance, motion.covariance[:3, :3], *_ground(scene, last),
                 np.array([extraction.width, extraction.height], float),
-                scene.scale_status is ScaleStatus.METRIC,
-                _speed_error(extraction, dt, last))
+                scene.scale_status is ScaleStatus.METRIC)
 
 
 def relative_motion(before: SceneEstimate, now: SceneEstimate) -> tuple[np.ndarray, np.ndarray]:
@@ -118,26 +108,22 @@ def _moved(plane, R, t):
     return rotated / scale, (R + np.outer(rotated / scale, t @ R)) / scale
 
 
-def _speed_error(extraction, dt, last):
-    """Return how well the last baselines compare, and by how much the speed has jumped."""
-    known = extraction.baseline_ratio_sigma < 1 and last is not None
-    if not known:
-        return 1.0
-    jump = extraction.baseline_ratio - np.log(dt / last.dt)
-    drift = np.sqrt(SceneSettings.depth_dependence * SPAN / dt) * extraction.baseline_ratio_sigma
-    return float(min(max(np.hypot(drift, jump), LEAST_SPEED_ERROR), 1.0))
+def _speed_error(extraction, velocity, scene, dt, last):
+    """Return by what share of its speed the scene's may be wrong against those of obstacles.
 
-
-def _scene_covariance(velocity, per_direction, direction_covariance, scene):
-    """Covariance of the scene's relative velocity: its direction, and its length alike."""
-    speed = norm(velocity)
-    if speed < 1e-9:
-        return np.zeros((3, 3))
-    ahead = scene.R_world_from_cam @ velocity / speed
-    variance = ahead @ scene.twist_covariance[:3, :3] @ ahead
-    along = min(max(variance, (LEAST_SPEED_ERROR * speed)**2), speed**2)
-    return (per_direction**2 * direction_covariance
-            + along * np.outer(velocity, velocity) / speed**2)
+    Both hang on one scale, so that its error, as of a free one that drifts, is shared. How well
+    the last baselines compare is not, nor by how much the speed has jumped; nothing errs by more
+    than the scene filter says.
+    """
+    ahead = scene.R_world_from_cam @ velocity / (velocity @ velocity)
+    of_filter = np.sqrt(ahead @ scene.twist_covariance[:3, :3] @ ahead)
+    if last is None or not extraction.baseline_ratio_sigma < 1:
+        compared = 1.0
+    else:
+        jump = extraction.baseline_ratio - np.log(dt / last.dt)
+        compared = np.hypot(jump, np.sqrt(SceneSettings.depth_dependence * SPAN / dt)
+                            * extraction.baseline_ratio_sigma)
+    return float(max(min(of_filter, compared, 1.0), LEAST_SPEED_ERROR))
 
 
 def _ground(scene, last):

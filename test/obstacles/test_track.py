@@ -65,12 +65,12 @@ def test_time_to_contact_is_depth_over_closing_speed(rng):
     assert 0 < np.sqrt(variance) < 0.5
 
 
-def test_a_car_ahead_moves_however_unsure_the_scale_is(rng):
+def test_a_car_ahead_moves_where_baselines_compare(rng):
     moment = Moment(0.5, rng, Drive((Mover(1, (0, 10), (0, 9)),), scale_sigma=0.0, sigma=0.05))
     scene = moment.view.scene_velocity
-    unsure = replace(moment.view, scene_covariance=np.outer(scene, scene), speed_error=1.0)
     found = []
-    for view in (unsure, replace(unsure, speed_error=0.1)):
+    for sigma in (1.0, 0.1):
+        view = replace(moment.view, scene_covariance=sigma**2 * np.outer(scene, scene))
         track = moment.track()
         track.witness(moment.extraction, view, moment.detection)
         found.append(track.evidence[-1].statistic)
