@@ -240,8 +240,8 @@ class SceneSettings(MountSettings):
         'buses over a fifth of the picture made some 0.1 px', 0.0, 16.0)
     place_bias: float = setting(
         0.4, 'px', 'standard deviation of the place in its block that a vector tells of, which '
-        'all share: what is left where encoders prefer the vectors of the blocks around', 0.0,
-        16.0)
+        'all share: what is left where encoders prefer the vectors of the blocks around; more '
+        'where the stream shows that most are copied from those', 0.0, 16.0)
     focal_sigma: float = setting(
         0.01, '-', 'standard deviation of the focal length, as a share: what calibration, focus '
         'and temperature leave', 0.0, 0.5)

@@ -58,6 +58,17 @@ def test_a_few_correspondences_tell_nothing():
     assert before.seen(few[:40], R, t) is before
 
 
+def test_vectors_that_are_copied_tell_of_a_place_that_errs():
+    dependence, before, unlabelled = Dependence(6.0), SceneSettings(), np.zeros(0, np.int8)
+    for seed in range(10):
+        dependence = dependence.seen(*pair(np.random.default_rng(seed), 0.5))
+    copied = 1.5 * 0.3 * (dependence.value - 1)
+    assert copied > 2 * before.place_bias
+    assert dependence.settings(before, unlabelled).place_bias == pytest.approx(copied)
+    independent = Dependence(1.2, 10, 0.3)
+    assert independent.settings(before, unlabelled).place_bias == before.place_bias
+
+
 @pytest.mark.parametrize('share', [0.0, 0.2])
 def test_vectors_around_movers_lean_so_that_a_turn_adds_up(share):
     """As much in each pair: the roll is as unsure as so many pairs make it, not their root."""
