@@ -329,6 +329,9 @@ RULES = (
          {EXTRACTOR + 'PREDICTED_COST': value(np.inf)}),
     Rule('turn on the spot', 'a pair without parallax may be a rotation',
          {MOTION + 'observations:may_turn': NO}),
+    Rule('turns with wrong vectors', 'what a turn puts behind the camera by mistake it puts before '
+         'it, too', {MOTION + 'observations:turns_only': gives(
+             lambda off, rho, epsilon_m: bool(np.mean(off > 2 * epsilon_m) < 0.15))}),
     Rule('standstill', 'zero vectors everywhere mean that the camera stands',
          {MOTION + 'status:stands_still': NO}),
     # Surfaces.
@@ -362,6 +365,8 @@ RULES = (
     Rule('ratio against prediction', 'a ratio that contradicts the speed does not count',
          {SCENE + 'scale.ratio:holds': gives(lambda state, log, sigma:
                                              bool(np.isfinite(sigma)))}),
+    Rule('unit that drifts', 'a free scale is less sure with each ratio and turn, for good',
+         {SCENE + 'scale.ratio:doubt_for_good': NOTHING}),
     Rule('ride', 'the height of a camera that keeps to the ground stays, known or not',
          {SCENE + 'scale.ride:Ride.seen': ITSELF}),
     Rule('supposed baseline', 'before any ground is seen most of what is low is ground',
@@ -382,8 +387,10 @@ RULES = (
          {SCENE + 'plane_map:SceneMap.is_lasting': NO}),
     Rule('iterations beyond 2', 'an update is relinearised four times', {},
          {'scene.iterations': 2}),
-    Rule('place in the block', 'vectors may tell of a place beside their block\'s middle', {},
-         {'scene.place_bias': 0.0}),
+    Rule('place in the block', 'vectors may tell of a place beside their block\'s middle',
+         {SCENE + 'noise:COPIED': value(0.0)}, {'scene.place_bias': 0.0}),
+    Rule('copied places', 'that place errs by more where vectors err together',
+         {SCENE + 'noise:COPIED': value(0.0)}),
     Rule('focal error', 'the focal length may be wrong by a per cent', {},
          {'scene.focal_sigma': 0.0}),
     Rule('bias of depth', 'the depth of a whole surface errs in one pair', {},
