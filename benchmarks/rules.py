@@ -329,8 +329,8 @@ RULES = (
          {EXTRACTOR + 'PREDICTED_COST': value(np.inf)}),
     Rule('turn on the spot', 'a pair without parallax may be a rotation',
          {MOTION + 'observations:may_turn': NO}),
-    Rule('turns with wrong vectors', 'what a turn puts behind the camera by mistake it puts before '
-         'it, too', {MOTION + 'observations:turns_only': gives(
+    Rule('turns with wrong vectors', 'of a turn they lie behind the camera as often as before it',
+         {MOTION + 'observations:turns_only': gives(
              lambda off, rho, epsilon_m: bool(np.mean(off > 2 * epsilon_m) < 0.15))}),
     Rule('standstill', 'zero vectors everywhere mean that the camera stands',
          {MOTION + 'status:stands_still': NO}),
