@@ -116,7 +116,7 @@ def _speed_error(extraction, velocity, scene, dt, last):
     than the scene filter says.
     """
     ahead = scene.R_world_from_cam @ velocity / (velocity @ velocity)
-    of_filter = np.sqrt(ahead @ scene.twist_covariance[:3, :3] @ ahead)
+    of_filter = np.sqrt(max(ahead @ scene.twist_covariance[:3, :3] @ ahead, 0.0))
     if last is None or not extraction.baseline_ratio_sigma < 1:
         compared = 1.0
     else:

@@ -171,7 +171,10 @@ class SceneFilter:
         return self._rested(extraction, STANDING)
 
     def _rested(self, extraction: Extraction, reason: str):
-        """Note that the camera has not moved; planes out of view do not age meanwhile."""
+        """Note that the camera has not moved; planes out of view do not age meanwhile.
+
+        Depths that have contradicted the length predicted until now tell none after the rest.
+        """
         progress = self._progress
         progress.rested = progress.started
         progress.carried &= not progress.refused
