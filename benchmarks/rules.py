@@ -224,6 +224,11 @@ def _all_still(extraction):
     return pair, extraction.plane_id[still]
 
 
+def _all_before(turns_only):
+    """Return the same that takes each block to lie before the camera."""
+    return lambda off, rho, epsilon_m: turns_only(off, np.ones_like(rho), epsilon_m)
+
+
 def _prior_alone(self, *_args):
     """Return it as it is."""
     return self
@@ -330,8 +335,7 @@ RULES = (
     Rule('turn on the spot', 'a pair without parallax may be a rotation',
          {MOTION + 'observations:may_turn': NO}),
     Rule('turns with wrong vectors', 'of a turn they lie behind the camera as often as before it',
-         {MOTION + 'observations:turns_only': gives(
-             lambda off, rho, epsilon_m: bool(np.mean(off > 2 * epsilon_m) < 0.15))}),
+         {MOTION + 'observations:turns_only': _all_before}),
     Rule('standstill', 'zero vectors everywhere mean that the camera stands',
          {MOTION + 'status:stands_still': NO}),
     # Surfaces.

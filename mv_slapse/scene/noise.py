@@ -15,9 +15,9 @@ SLOW = 0.1  # weight of the newest pair in the running mean: some 10 pairs
 TENTH = 6.25  # chi-square of 3 degrees of freedom is larger once in ten
 AGREEMENT_STEP = 0.3  # of the log of the scale: some 60 planes seen make it a sixth
 LEAST_SCALE = 0.1  # a tenfold conservative covariance; a lower one was not met on real streams
-# Of vectors copied from those around, which tell of another place: its error [px] for each px that
-# they err by, times what the dependence exceeds 1 by. Where it is right, poses err as is said of
-# them: NEES was 39 with x264's superfast at crf 28, where 6 is right, and is 10.
+# Vectors that are copied from those around tell of another place. Its error is this share of
+# theirs, times what the dependence exceeds 1 by: with it NEES, 6 if the covariance is right, is 10
+# with x264's superfast at crf 28, and 39 without.
 COPIED = 1.5
 BOUNDS = (1.2, 30.0)  # no stream showed less; beyond, too few blocks remain independent
 

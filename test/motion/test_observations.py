@@ -106,9 +106,12 @@ def test_an_object_that_crosses_leaves_its_epipolar_lines():
     assert evidence.epipolar_inlier[mover].mean() < 0.2
 
 
-def turns_only(scene):
-    off = estimate.turn(scene.pair, scene.R)[2] * scene.pair.sigma
-    return block_observations.turns_only(off, judged(scene).rho, 1.0)
+def off_a_turn(scene):
+    return estimate.turn(scene.pair, scene.R)[2] * scene.pair.sigma
+
+
+def turns_only(scene, seen=None):
+    return block_observations.turns_only(off_a_turn(scene), (seen or judged(scene)).rho, 1.0)
 
 
 def test_a_turn_shows_no_parallax_and_a_motion_does(rng, true_motion):
@@ -132,15 +135,14 @@ def test_a_slow_motion_that_passes_for_a_turn_is_told_by_what_a_turn_leaves(rng,
     evidence = block_observations.observe(misjudged.pair, wrong, 3.0, 1.0, 0.0)
     assert 1.5 < np.median(evidence.parallax) < 3
     assert may_turn(evidence)
-    assert turns_only(misjudged)
+    assert turns_only(misjudged, evidence)
 
 
 @pytest.mark.parametrize('true_motion', ['ahead'], indirect=True)
 def test_vectors_that_are_wrong_make_no_motion_of_a_turn(rng, true_motion):
     R, t = true_motion
     turns = views(R, t, rng, 1.5, planes=1e-6 * CANYON)
-    off = estimate.turn(turns.pair, R)[2] * turns.pair.sigma
-    assert np.mean(off > 2) > 2 * block_observations.TURNING_SHARE
+    assert np.mean(off_a_turn(turns) > 2) > 2 * block_observations.TURNING_SHARE
     assert turns_only(turns)
     assert not turns_only(views(R, t, rng, 1.5, planes=0.1 * CANYON))
 
