@@ -176,9 +176,8 @@ def main(arguments: list[str] | None = None) -> int:
                         '(default: all)')
     parser.add_argument('--list', action='store_true', help='list the rules')
     parser.add_argument('--rows', choices=('few', 'third', 'all'), default='all')
-    parser.add_argument('--reference', type=Path, default=Path('benchmarks/reference.json'),
-                        help='figures whose versions of clips tell the scatter '
-                             '(default: %(default)s)')
+    parser.add_argument('--reference', type=Path, help='figures of `gate.py measure` whose '
+                        'versions of clips tell the scatter, beside those of the rows themselves')
     parser.add_argument('-o', '--output', type=Path, default=Path('docs/ablation.md'))
     options = parser.parse_args(arguments)
     if options.list:
@@ -192,7 +191,7 @@ def main(arguments: list[str] | None = None) -> int:
     cache = evaluate.cache_of(options)
     scenes, choose = chosen(evaluate.all_scenes(options), options.rows)
     before = measure_all(scenes, cache, evaluate.workers_of(options), None, choose)
-    known = json.loads(options.reference.read_text()) if options.reference.exists() else {}
+    known = json.loads(options.reference.read_text()) if options.reference else {}
     altered = known.get('rows', {}) | known.get('altered', {})
     verdicts = []
     options.output.parent.mkdir(parents=True, exist_ok=True)

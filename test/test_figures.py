@@ -22,9 +22,9 @@ CLIPS = {'`kitti00` (145 m of road), MPEG-2': ('kitti00/mpeg2.mpg', 'kitti00, MP
                                                'parking, H.264, no B')}
 
 
-def cells(text: str, first: str) -> list[str]:
-    """Return the other cells of a row of a table."""
-    found = re.search(rf'\| {re.escape(first)} \|([^|]*)\|([^|]*)\|([^|]*)\|', text)
+def cells(text: str, first: str, number: int = 3) -> list[str]:
+    """Return so many of the other cells of a row of a table."""
+    found = re.search(rf'\| {re.escape(first)} \|' + number * r'([^|]*)\|', text)
     assert found, first
     return [cell.strip() for cell in found.groups()]
 
@@ -47,7 +47,9 @@ def test_errors_are_those_of_the_rows(clip):
 
 @pytest.mark.parametrize('row', [name for name in ROWS if re.match(r'(kitti00|parking)/', name)])
 def test_the_table_of_figures_has_the_rows(row):
-    _, poses, similarity = cells(FIGURES, f'`{row}`')
+    _, poses, similarity, _, obstacles = cells(FIGURES, f'`{row}`', 5)
+    assert float(obstacles) == pytest.approx(
+        float(ROWS[row]['confirmed_obstacles_per_frame']), abs=6e-4)
     assert int(poses) == int(float(ROWS[row]['n_poses']))
     assert similarity == shown(ROWS[row], 'ate_mean_percent')
 
@@ -82,8 +84,11 @@ def test_passages_are_those_of_the_rows():
 
 
 def test_hazards_are_those_of_the_figures():
-    hazards = re.search(r'Of (\d+) hazards ahead (\d+) are confirmed 2 s before contact and (\d+) '
-                        'missed', README).groups()
+    ahead, early, in_time, missed = re.search(
+        r'Of (\d+) hazards ahead (\d+) are confirmed 2 s or more before contact; (\d+) are in '
+        r'time,.*?; (\d+) are missed', README).groups()
+    hazards = ahead, in_time, missed
+    assert f'where that is later ({early} of them at 2 s or more)' in FIGURES
     assert 'of {} hazards {} are confirmed by a time to contact of 2 s'.format(*hazards) in FIGURES
     assert f'{hazards[2]} are not confirmed at 1 s either' in FIGURES
     rows = {name: row for name, row in ROWS.items()
@@ -92,6 +97,9 @@ def test_hazards_are_those_of_the_figures():
         pytest.skip('docs/results.csv is older than the drives toward hazards: make evaluate')
     assert hazards == tuple(str(total(rows, name)) for name in (
         'hazards', 'hazards_in_time', 'hazards_missed'))
+    contact = 'contact_at_confirmation_s'
+    assert int(early) == sum(row[contact] != '' and float(row[contact]) >= 2
+                             for row in rows.values())
 
 
 def test_false_braking_is_that_of_the_rows():

@@ -17,8 +17,7 @@ LIBRARIES = (('numpy', 'numpy', '1.26'), ('scipy', 'scipy', '1.11'),
              ('rosbags', 'rosbags', '0.10'), ('mcap', 'mcap', '1.0'),
              ('matplotlib', 'matplotlib', '3.6'), ('tqdm', 'tqdm', '4.0'),
              ('yaml', 'pyyaml', '6.0'))
-BATCH = "'mv_slapse[batch]'"
-EXTRAS = (('dask', BATCH, '2024.8'), ('distributed', BATCH, '2024.8'))
+EXTRAS = (('dask', "'dask>=2024.8'", '2024.8'), ('distributed', "'distributed>=2024.8'", '2024.8'))
 SHIFT = 3  # px that the picture moves in each frame of the test clip
 RATE = 10.0  # Hz, of that clip
 GET_ROS = 'source /opt/ros/jazzy/setup.sh, or run `make setup` (x86-64)'

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+import shutil
 import signal
 import subprocess
 import time
@@ -63,3 +64,11 @@ def test_all_nodes_join_the_graph_and_end_at_an_interrupt(running):
         os.kill(process.pid, signal.SIGINT)
     for node, process in processes.items():
         endings.check(process.wait(SECONDS), (folder / f'{node}.log').read_text())
+
+
+def test_the_program_is_on_the_path(prefix):
+    program = shutil.which('mv_slapse')
+    assert program == str(prefix / 'bin' / 'mv_slapse')
+    done = subprocess.run([program, '--help'], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert 'inspect' in done.stdout

@@ -73,7 +73,7 @@ def test_without_dask_it_says_what_to_install(call, clip, tmp_path, monkeypatch)
     code, _, err = call('batch', clip.video, '-o', tmp_path / 'out')
     assert code == 3
     assert "dask is not installed, which shares the work out; install it with: pip install " \
-        "'mv_slapse[batch]'" in err
+        "'dask>=2024.8'" in err
     assert not (tmp_path / 'out').exists()
 
 

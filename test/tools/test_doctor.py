@@ -72,7 +72,7 @@ def test_the_table_names_what_is_missing_and_what_cannot_run():
 
 
 def test_without_dask_all_but_batch_runs(monkeypatch):
-    monkeypatch.setattr(doctor, 'EXTRAS', (('no_such_dask', "'mv_slapse[batch]'", '1.0'),))
+    monkeypatch.setattr(doctor, 'EXTRAS', (('no_such_dask', "'dask>=1.0'", '1.0'),))
     monkeypatch.setattr(doctor, 'LIBRARIES', doctor.LIBRARIES[:4])
     monkeypatch.setattr(doctor, 'ros', lambda: [])
     monkeypatch.setattr(doctor, 'motion_vectors', lambda: GOOD)
@@ -80,5 +80,5 @@ def test_without_dask_all_but_batch_runs(monkeypatch):
     assert doctor.exit_code(findings) == 0
     table = doctor.table(findings)
     assert 'no_such_dask' in table
-    assert "pip install 'mv_slapse[batch]', or run `make setup` (for mv_slapse batch)" in table
+    assert "pip install 'dask>=1.0', or run `make setup` (for mv_slapse batch)" in table
     assert 'NOT' not in table

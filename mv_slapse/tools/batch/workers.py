@@ -19,7 +19,7 @@ import uuid
 import cv2
 from mv_slapse.errors import MvSlapseError, UsageError
 
-EXTRA = "pip install 'mv_slapse[batch]'"
+EXTRA = "pip install 'dask>=2024.8' 'distributed>=2024.8'"
 LEAST_MEMORY = 300 << 20  # bytes; with less a worker ends as soon as it has loaded its libraries
 CONNECT = 30.0  # s until a scheduler must have answered
 REPLACED = 5.0  # s until another worker takes the place of one that could not start
