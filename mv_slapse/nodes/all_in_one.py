@@ -62,6 +62,7 @@ class AllInOneNode(Shell):
     def go_on(self):
         """Begin a new map where the last pose was."""
         self._placement.go_on()
+        self._archive.begin_anew()
         self.count_reset()
         self.health.restarted()
         self._renew()

@@ -33,6 +33,10 @@ class Archive:
         self._map.close()
         self._trajectory, self._rows, self._map = TrajectoryRows(), WaitingRows(), MapArchive()
 
+    def begin_anew(self):
+        """Go on with the map of a new filter, which numbers its planes from zero again."""
+        self._map.begin_anew()
+
     def add(self, scene: SceneEstimate, previous_stamp: int, frames: RosFrames, origin: Pose):
         """Take the estimate of a key frame; the first in motion also gives where it began.
 

@@ -38,7 +38,7 @@ class CameraInput:
         self._node.health.watch(TOPIC, HINT)
         self._node.health.enter('no_camera', 'no camera_info yet: ' + HINT)
         silent = SubscriptionEventCallbacks(incompatible_qos=lambda _: None)
-        callback = self._node.guarded(TOPIC, CameraInfo, self._on_message)
+        callback = self._node.guarded(TOPIC, CameraInfo, self._on_message, comes_once=True)
         for profile in (qos_profile_sensor_data, LATCHED):
             self._node.create_subscription(CameraInfo, TOPIC, callback, profile,
                                            event_callbacks=silent, raw=True)

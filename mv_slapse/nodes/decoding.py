@@ -15,12 +15,11 @@ from mv_slapse.nodes.health import SILENCE
 from mv_slapse.nodes.image_overlay import ImageOverlay
 from mv_slapse.nodes.overload import OVERLOAD
 from mv_slapse.nodes.settings import VideoSettings
-from mv_slapse.nodes.shell import Shell
+from mv_slapse.nodes.shell import BACKWARDS, Shell
 from mv_slapse.nodes.video_source import VideoSource
 from mv_slapse.nodes.video_topic import VideoTopic
 from mv_slapse.records import Correspondences, SegmentKind
 
-BACKWARDS = 1_000_000_000  # [ns] a stamp this much earlier is a new run, not a B frame
 HELD = 600  # packets kept until the camera is known
 PART = 'video'
 

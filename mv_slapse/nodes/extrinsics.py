@@ -40,7 +40,7 @@ class Extrinsics:
         if message_type is not None and not self._from_parameter:
             self._deadline += self._settings.tf_wait
             subscribe(node, message_type, TOPIC, node.guarded(
-                TOPIC, message_type, self._on_static, proves=True), STATIC)
+                TOPIC, message_type, self._on_static, proves=True, comes_once=True), STATIC)
 
     def frames(self, camera: str) -> RosFrames | None:
         """Return the frames for pictures in the frame ``camera``; None: ask again later."""

@@ -113,7 +113,12 @@ class Health:
         """Note that something arrived on a topic."""
         if topic in self._watches:
             self._watches[topic].last = time.monotonic()
+        self.leave('qos', part=topic)
         self.count(f'messages on {topic}')
+
+    def has_arrived(self, topic: str) -> bool:
+        """Return whether anything ever arrived on a topic."""
+        return f'messages on {topic}' in self._counts
 
     def status(self) -> DiagnosticStatus:
         """Return the state now."""

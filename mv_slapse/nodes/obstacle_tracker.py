@@ -12,7 +12,7 @@ from mv_slapse.nodes.handovers import Handovers
 from mv_slapse.nodes.obstacle_output import ObstacleOutput
 from mv_slapse.nodes.qos import LATCHED, RELIABLE, subscribe
 from mv_slapse.nodes.scene_join import continues, SceneJoin, SceneMemory
-from mv_slapse.nodes.shell import run, Shell
+from mv_slapse.nodes.shell import BACKWARDS, run, Shell
 from mv_slapse.obstacles.tracker import ObstacleTracker
 from mv_slapse.records import Extraction, Label
 from mv_slapse_msgs.msg import PlaneMap, PlaneObservations
@@ -80,7 +80,7 @@ class ObstacleTrackerNode(Shell):
 
     def _step(self, observations: '_Seen', odometry: Odometry | None, plane_map: PlaneMap):
         extraction = observations.extraction
-        if extraction.stamp < self._newest:
+        if extraction.previous_stamp < self._newest - BACKWARDS:
             self.begin_anew('time went back (a bag played again?)')
         began = plane_map.resets, stamp_from_message(plane_map.began)
         if self._memory.last and began != self._map_began:
@@ -95,9 +95,9 @@ class ObstacleTrackerNode(Shell):
         if not continues(before, scene):
             self.begin_anew('the odometry jumped (was slam reset?)')
             scene = self._memory.scene(extraction, odometry, plane_map, frames)
-        self._newest = extraction.stamp
+        self._newest = max(self._newest, extraction.stamp)
         obstacles, given = self._tracker.step(
-            extraction, scene, self._handovers.due(self._newest, frames))
+            extraction, scene, self._handovers.due(extraction.stamp, frames))
         self._handovers.publish(given, frames)
         self._output.publish(extraction.stamp, obstacles, scene.scale_status, frames)
 

@@ -31,7 +31,8 @@ class Placement:
         self._node = node
         self.restart()
         subscribe(node, PoseWithCovarianceStamped, TOPIC,
-                  node.guarded(TOPIC, PoseWithCovarianceStamped, self._on_pose, proves=True))
+                  node.guarded(TOPIC, PoseWithCovarianceStamped, self._on_pose, proves=True,
+                               comes_once=True))
 
     def restart(self):
         """Begin at the origin of odom."""

@@ -31,6 +31,7 @@ POLL = 0.5  # [s] at most between a signal and its effect, beside the callback t
 END_TIME = 5.0  # [s] after which a process that cannot end is ended, as ros2 launch waits as long
 GIVE_BACK = 20.0  # [s] after which free pages go back to the system, within 3 to 11 ms
 DRAINING = 0.1  # [s] between two looks whether what is held back can be passed on
+BACKWARDS = 1_000_000_000  # [ns] a stamp this much earlier is a new run, no B frame or odd clock
 SPARING = 5.0  # [s] between two lines of one kind in the log
 RCLError = rclpy_implementation.RCLError
 
@@ -83,8 +84,10 @@ class Shell(Node):
         self.health.value('resets', self.resets)
 
     def guarded(self, topic: str, message_type: type, callback: Callable[[Any], None],
-                proves: bool = False) -> Callable[..., None]:
+                proves: bool = False, comes_once: bool = False) -> Callable[..., None]:
         """Return the callback of a raw subscription: it heeds ~/pause, and nothing ends it.
+
+        What ``comes_once``, as a pose that is given, is taken while the node pauses, too.
 
         The bytes are made a message here, inside the border: what cannot be is dropped and
         counted as well. ``proves``: whether an input that was used takes back the complaints
@@ -93,7 +96,7 @@ class Shell(Node):
         def on_bytes(data: bytes, info: dict):
             """Note the arrival and try the callback."""
             self.health.arrived(topic)
-            if not self.paused:
+            if comes_once or not self.paused:
                 self.latency.begin((time.time_ns() - info['received_timestamp']) / 1e9)
                 self.attempt(topic, receive, data, proves=proves)
 

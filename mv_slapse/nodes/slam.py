@@ -11,7 +11,7 @@ from mv_slapse.nodes.known_place import KnownPlace
 from mv_slapse.nodes.placement import Placement
 from mv_slapse.nodes.qos import RELIABLE, subscribe
 from mv_slapse.nodes.scene_output import SceneOutput
-from mv_slapse.nodes.shell import run, Shell
+from mv_slapse.nodes.shell import BACKWARDS, run, Shell
 from mv_slapse.nodes.speeds import Speeds
 from mv_slapse.records import Extraction, Label
 from mv_slapse.ros_frames import RosFrames
@@ -71,7 +71,7 @@ class SlamNode(Shell):
         self._gate(fields.extraction_from_message(msg), msg.header.frame_id, self.latency.came)
 
     def _step(self, extraction: Extraction, frame: str, came: float):
-        if extraction.stamp < self._newest:
+        if extraction.previous_stamp < self._newest - BACKWARDS:
             self.begin_anew('time went back (a bag played again?)')
         if self.latency.is_behind(came):
             extraction = overload.unseen(extraction)
@@ -81,7 +81,7 @@ class SlamNode(Shell):
         self._advance(extraction, frames)
 
     def _advance(self, extraction: Extraction, frames: RosFrames):
-        self._newest = extraction.stamp
+        self._newest = max(self._newest, extraction.stamp)
         due = self._handovers.due(extraction.stamp - 1, frames)
         scene, given = self._filter.step(extraction, due, self._speeds.told(extraction.stamp))
         frames = self._known.look(scene, frames)

@@ -88,7 +88,6 @@ class VideoTopic:
         qos.lost(self._node, TOPIC, event.total_count_change)
 
     def _on_message(self, type_name: str, msg: Any):
-        self._node.health.leave('qos', part=TOPIC)
         content = video_messages.from_message(type_name, msg)
         self._deliver(content, self._settings.camera_frame
                       or video_messages.frame_of(type_name, msg))

@@ -1,5 +1,7 @@
 """What is gathered over a run and written at its end: labels, map, summary."""
 
+from collections.abc import Iterable
+from dataclasses import replace
 import json
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -15,6 +17,7 @@ import numpy as np
 
 SCHEMA_VERSION = 1
 MOST_PLANES = 10_000  # in map.json, about 20 MB; the oldest go first
+IDS = 2_000_000  # more than one filter gives, as nodes.numbering has it
 LARGEST_MAP = 1 << 26  # bytes
 UNIT = 1e-3  # by which a normal may be none
 FARTHEST = 1e9  # [m or map unit]
@@ -79,6 +82,7 @@ class MapArchive:
         self._current: dict[int, MapPlane] = {}
         self._scene: SceneEstimate | None = None
         self._left = WaitingRows()
+        self._offset = 0
 
     @property
     def has_planes(self) -> bool:
@@ -89,13 +93,27 @@ class MapArchive:
         """Give up what waits."""
         self._left.close()
 
+    def begin_anew(self):
+        """Keep what there is beside a map that begins: its planes are numbered from zero again."""
+        self._leave(self._current.values())
+        self._current = {}
+        self._offset += IDS
+
     def add(self, scene: SceneEstimate):
         """Take the map after a key frame."""
-        before, self._scene = self._current, scene
-        self._current = {plane.id: plane for plane in scene.planes}
-        for id, plane in before.items():
-            if id not in self._current:
-                self._left.add(json.dumps(_plane_content(plane, False)))
+        before, self._scene = self._current, self._renumbered(scene)
+        self._current = {plane.id: plane for plane in self._scene.planes}
+        self._leave(plane for id, plane in before.items() if id not in self._current)
+
+    def _renumbered(self, scene: SceneEstimate) -> SceneEstimate:
+        if not self._offset:
+            return scene
+        return replace(scene, planes=tuple(
+            replace(plane, id=plane.id + self._offset) for plane in scene.planes))
+
+    def _leave(self, planes: Iterable[MapPlane]):
+        for plane in planes:
+            self._left.add(json.dumps(_plane_content(plane, False)))
 
     def content(self) -> dict[str, Any]:
         """Return what ``map.json`` holds.

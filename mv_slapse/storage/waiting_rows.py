@@ -47,8 +47,12 @@ class WaitingRows:
         if self._error is not None:
             raise self._error
         self._file.seek(0)  # what is buffered is written before
-        yield from self._file
-        self._file.seek(0, os.SEEK_END)
+        try:
+            # `yield from` would close the file with whoever gives up half-way.
+            for row in self._file:  # noqa: UP028
+                yield row
+        finally:
+            self._file.seek(0, os.SEEK_END)
 
     def close(self):
         """Give them up; what a full disk does not take any more is not wanted either."""

@@ -147,6 +147,20 @@ def test_a_pose_on_initialpose_is_the_pose_now(bench):
     assert drive.maps[-1].resets == 1
 
 
+def test_a_pose_that_is_given_during_a_pause_counts(bench):
+    drive = Drive(bench)
+    drive.begin()
+    publisher = bench.advertise(PoseWithCovarianceStamped, 'initialpose')
+    bench.call(SetBool, '/slam/pause', data=True)
+    publisher.publish(initial_pose(10.0, -5.0, 0.0))
+    assert bench.spin(lambda: value_of(drive.node, 'resets') == '1')
+    bench.call(SetBool, '/slam/pause', data=False)
+    after = drive.go(W + 3, 2 * W + 4, W)
+    plain = expected()
+    moved = plain[2].R.T @ (plain[W + 3].t - plain[2].t)
+    np.testing.assert_allclose(after[3], [10, -5, 0] + moved, atol=0.1)
+
+
 def test_the_map_moves_with_the_trajectory(bench):
     drive = Drive(bench)
     drive.begin()

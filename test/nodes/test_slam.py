@@ -42,12 +42,20 @@ class Output(Shell):
         self.output.publish(scene, RosFrames(), self.placement)
 
 
-def feed(bench, n=PAIRS):
+def feed(bench, n=PAIRS, later=0.0):
     publisher = bench.advertise(PlaneObservations, 'planes/observations')
     for step in drives.steps(n):
-        publisher.publish(to_message(PlaneObservations, fields.extraction_to_fields(
-            step.extraction, RosFrames(camera='cam'))))
+        publisher.publish(observations(step.extraction, later))
     return publisher
+
+
+def observations(extraction, later=0.0):
+    """Return the message of an extraction, some seconds later."""
+    ns = round(later * 1e9)
+    extraction = replace(extraction, stamp=extraction.stamp + ns,
+                         previous_stamp=extraction.previous_stamp + ns)
+    return to_message(PlaneObservations, fields.extraction_to_fields(
+        extraction, RosFrames(camera='cam')))
 
 
 def position(msg):
@@ -184,11 +192,23 @@ def test_reset_begins_a_new_trajectory(bench):
 
 def test_a_bag_played_again_begins_a_new_trajectory(bench):
     odometry = bench.listen(Odometry, 'odometry')
-    bench.start(SlamNode, **PARAMETERS)
-    feed(bench)
+    node = bench.start(SlamNode, **PARAMETERS)
+    feed(bench, later=2.0)
     feed(bench)
     assert bench.spin(lambda: len(odometry) == 2 * N, 30)
     np.testing.assert_allclose(position(odometry[-1]), position(odometry[N - 1]), atol=1e-9)
+    assert node.resets == 1
+
+
+def test_a_clock_that_is_set_a_little_back_begins_nothing_anew(bench):
+    odometry = bench.listen(Odometry, 'odometry')
+    node = bench.start(SlamNode, **PARAMETERS)
+    publisher = feed(bench)
+    assert bench.spin(lambda: len(odometry) == N, 30)
+    publisher.publish(observations(drives.steps(PAIRS + 1)[-1].extraction, later=-0.3))
+    assert bench.spin(lambda: len(odometry) == N + 1, 30)
+    assert node.resets == 0
+    np.testing.assert_allclose(position(odometry[-1]), expected_positions(PAIRS + 1)[-1], atol=0.1)
 
 
 @pytest.mark.parametrize('status', [TrackingStatus.LOST, TrackingStatus.INITIALISING])

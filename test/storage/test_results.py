@@ -131,6 +131,19 @@ def test_a_plane_that_left_the_map_and_came_again_is_there_once_as_last_known(rn
     assert archive.content()['planes'] == found
 
 
+def test_a_map_that_begins_anew_keeps_the_planes_of_the_one_before(rng):
+    archive, scene = MapArchive(), made_up_step(rng, 0).scene
+    planes = [made_up.map_plane(rng, id) for id in (0, 1, 0)]
+    archive.add(replace(scene, planes=tuple(planes[:2])))
+    archive.begin_anew()
+    archive.add(replace(scene, planes=(planes[2],)))
+    found = archive.content()['planes']
+    assert [plane['is_current'] for plane in found] == [False, False, True]
+    assert len({plane['id'] for plane in found}) == 3
+    for one, plane in zip(found, planes, strict=True):
+        np.testing.assert_allclose(one['normal'], plane.normal)
+
+
 def test_a_map_whose_planes_found_no_place_to_wait_is_refused(rng, monkeypatch):
     archive, scene = MapArchive(), made_up_step(rng, 0).scene
     with suppress(OSError), Path('/dev/full').open('w', buffering=1) as full:
