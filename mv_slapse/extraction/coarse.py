@@ -8,7 +8,7 @@ factor, and of the blocks in each macroblock of that sensor the most telling one
 from dataclasses import replace
 from functools import lru_cache
 
-from mv_slapse.geometry.blocks import grid_centres, grid_index, grid_shape, MACROBLOCK
+from mv_slapse.geometry.blocks import grid_centres, grid_shape, MACROBLOCK, macroblock_of
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Correspondences, Extraction
@@ -42,7 +42,7 @@ def correspondences_of(given: Correspondences, factor: float) -> Correspondences
     x = _smaller(given.x_cur, factor)
     width, height = _size(given.width, given.height, factor)
     rows = compiled.best_of_cells(
-        grid_index(x, width, height), int(np.prod(grid_shape(width, height))),
+        _cell(x, width, height), int(np.prod(grid_shape(width, height))),
         given.probability.astype(float), given.sigma.astype(float))
     return replace(
         given, width=width, height=height, x_cur=x[rows].astype(np.float32),
@@ -72,7 +72,17 @@ def extraction_of(coarse: Extraction, factor: float, given: Correspondences,
 @lru_cache(4)
 def _cells(width: int, height: int, factor: float) -> np.ndarray:
     """Return which macroblock (M,) of a smaller picture holds each of a picture [px]."""
-    return grid_index(_smaller(grid_centres(width, height), factor), *_size(width, height, factor))
+    return _cell(_smaller(grid_centres(width, height), factor), *_size(width, height, factor))
+
+
+def _cell(x: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return which macroblock (N,) of a picture holds each pixel (N, 2).
+
+    The last ones hold what lies at the edge: a larger picture's macroblocks reach beyond it.
+    """
+    columns, rows = grid_shape(width, height)
+    column, row = macroblock_of(x).T
+    return np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
 
 
 def _smaller(x: np.ndarray, factor: float) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Pictures of more macroblocks than are looked at, as pictures of fewer pixels."""
 
 from dataclasses import replace
+import math
 
 from canyon import angle_between, motion, turn_between, views
 from canyon import K as K_VGA
@@ -57,6 +58,21 @@ def test_of_the_blocks_in_a_macroblock_the_most_telling_one_is_left(rng):
         assert sigma * factor == pytest.approx(given.sigma[best].min(), rel=1e-6)
     assert len(few) == len(np.unique(cell, axis=0))
     np.testing.assert_allclose(few.x_prev - few.x_cur, 2 / factor, atol=1e-4)
+
+
+@pytest.mark.parametrize('size', [(1920, 1080), (2048, 1080), (1280, 720)])
+def test_each_macroblock_lies_in_one_of_the_smaller_picture(size):
+    factor = coarse.factor_of(*size, 2000)
+    small = (math.ceil(size[0] / factor), math.ceil(size[1] / factor))
+    at = grid_centres(*small)[coarse._cells(*size, factor)]
+    off = np.abs(at - ((grid_centres(*size) + 0.5) / factor - 0.5))
+    assert off.max() <= 8.0
+
+
+def test_a_block_at_the_lower_edge_is_kept(rng):
+    given = replace(drawn(1, rng), width=1920, height=1080,
+                    x_cur=np.array([[100.0, 1079.5]], np.float32))
+    assert len(coarse.correspondences_of(given, 2.5)) == 1
 
 
 def test_the_extraction_is_told_in_the_pixels_of_the_picture(rng):
