@@ -35,13 +35,14 @@ def begin_anew(state: SceneState, is_metric: bool):
     v = state.velocity
     speed_sigma = float(np.sqrt(v @ state.error.covariance('velocity') @ v) / max(v @ v, 1e-9))
     scale = 0.0 if is_metric else min(speed_sigma, UNKNOWN_SCALE)  # of their logarithm
+    known = state.gauge.covariance[-1, -1]  # of the unit so far, in which the speed is known
     P = np.zeros_like(state.P)
     for name in ('velocity', 'omega', 'mount', 'depth_scale', 'heave'):
         P[state.at(name), state.at(name)] = state.error.covariance(name)
     P[vel, vel] += swing @ pose[:3, :3] @ swing.T
     state.error.P, state.error.lasting = P, np.zeros_like(state.error.lasting)
     state.gauge = Gauge(state.current.t.copy(), np.pad(pose, (0, 1)))
-    state.gauge.covariance[-1, -1] = scale**2
+    state.gauge.covariance[-1, -1] = known + scale**2
 
 
 def doubt_scale(state: SceneState, sigma: float):

@@ -68,6 +68,17 @@ def test_a_free_scale_is_known_as_well_as_the_speed_but_a_metric_one_is_kept(
         assert twin.gauge.covariance[6, 6]**0.5 == pytest.approx(0 if is_metric else scale)
 
 
+def test_a_second_loss_at_a_free_scale_adds_to_what_the_first_left_unsure(state):
+    without_planes(state)
+    state.velocity, vel = np.array([0, 0, 5.0]), state.at('velocity')
+    for sigma in (2.0, 1.0):
+        state.error.P[vel, vel], state.error.lasting[vel] = sigma**2 * np.eye(3), 0
+        scene_gauge.begin_anew(state, is_metric=False)
+        state.velocity = np.array([0, 0, 5.0])
+    # The second speed is as unsure as its own block says, and what the heading left of it.
+    assert state.gauge.covariance[6, 6] >= 0.4**2 + 0.2**2 - 1e-12
+
+
 def changed(state, g):
     """Return a state turned, shifted and grown about its gauge's place by g (7,)."""
     R, growth, place = rotation.exp(g[:3]), np.exp(g[6]), state.gauge.place
