@@ -12,8 +12,7 @@ import math
 from typing import NamedTuple
 
 from mv_slapse.changed import replace
-from mv_slapse.geometry import two_view
-from mv_slapse.geometry.rotation import norm
+from mv_slapse.geometry import rotation, two_view
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.motion.observations import Depths
@@ -81,6 +80,7 @@ class BlockMap:
     # (3, 3), (3,): R_cur_from_prev of the last pair, t_cur_from_prev over its time [map unit/s]
     R: np.ndarray = field(default_factory=lambda: np.eye(3))
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    span: int = 0  # that time [ns]
 
     def at(self, stamp: int) -> 'BlockMap':
         """Return it for a pair whose earlier key frame has a stamp; a new one after a gap."""
@@ -137,7 +137,7 @@ class BlockMap:
         if n_sure < LEAST_KNOWN:
             return None
         return _fitted(pair, known, [(R, length * t), (R, math.hypot(*way) * t),
-                                     (R, way), (self.R, way)], POLICY)
+                                     (R, way), (self._turn(dt), way)], POLICY)
 
     def turning(self, pair: two_view.Pair, known: np.ndarray, R: np.ndarray) -> MapMotion | None:
         """Return the little motion of a camera that seems to turn on the spot by R (3, 3)."""
@@ -165,23 +165,28 @@ class BlockMap:
         points = compiled.fuse_map(
             self.points, columns(pair), known, np.append(R, t),
             (pair.K, np.array(size, np.int64)), POLICY)
-        return replace(self, points=points, stamp=stamp, R=R,
-                       velocity=1e9 * t / max(stamp - self.stamp, 1))
+        span = max(stamp - self.stamp, 1)
+        return replace(self, points=points, stamp=stamp, R=R, velocity=1e9 * t / span, span=span)
 
     def rested(self, stamp: int) -> 'BlockMap':
         """Return it after a pair of a camera that stands still."""
-        return replace(self, stamp=stamp, R=np.eye(3), velocity=np.zeros(3))
+        return replace(self, stamp=stamp, R=np.eye(3), velocity=np.zeros(3), span=0)
 
     def coasted(self, stamp: int, K: np.ndarray, size: tuple[int, int]) -> 'BlockMap':
         """Return it after a pair that shows no motion: the last one goes on."""
-        t = 1e-9 * (stamp - self.stamp) * self.velocity
+        dt = 1e-9 * (stamp - self.stamp)
         none = np.zeros((0, 3))
         nothing = two_view.Pair(none, none, np.zeros((0, 2)), np.zeros(0), K)
-        return self.moved(stamp, (self.R, t), nothing, none, size)
+        return self.moved(stamp, (self._turn(dt), dt * self.velocity), nothing, none, size)
+
+    def _turn(self, dt: float) -> np.ndarray:
+        """Return R_cur_from_prev (3, 3) of a pair of ``dt`` [s] that turns as the last one."""
+        share = 1e9 * dt / self.span if self.span else 1.0
+        return self.R if share == 1 else rotation.exp(share * rotation.log(self.R))
 
     def usual(self, stamp: int) -> float:
         """Return the length of a baseline at an unchanged speed [map unit], 1 if none is known."""
-        way = 1e-9 * (stamp - self.stamp) * norm(self.velocity)
+        way = 1e-9 * (stamp - self.stamp) * rotation.norm(self.velocity)
         return way or self.length or 1.0
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 WOBBLE = 0.01  # rad, and share of the depth: change from pair to pair that a fit does not tell
 GATE = 14.2  # squared distance of the same plane seen again: 99.7 % of chi-square, 3 degrees
-DRIFT = 0.003  # the same where it is out of view: what the motion of a pair is wrong by
+DRIFT = 0.003  # the same where a pair does not show it: what the motion of a pair is wrong by
 PATIENCE = 3  # pairs in which a plane may be missing: an I frame's is poor in vectors
 USEFUL = 0.15  # spread at which one plane cannot be told from the next: set-backs differ by 0.2
 

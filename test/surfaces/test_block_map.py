@@ -8,6 +8,7 @@ from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.surfaces.block_map import BlockMap
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 SIZE = (WIDTH, HEIGHT)
 STEP = 100_000_000  # ns
@@ -168,6 +169,16 @@ def test_without_a_view_the_last_motion_goes_on(drive):
     np.testing.assert_allclose(coasted.velocity, drive.map.velocity, rtol=1e-6)
     assert coasted.usual(coasted.stamp + STEP) == pytest.approx(1.0, rel=0.03)
     assert BlockMap().at(7).usual(8) == 1.0
+
+
+def test_without_a_view_a_turn_goes_on_for_as_long_as_it_takes(drive):
+    R = exp(np.array([0, 0.04, 0]))
+    drive.turn(R, 0.01 * motion('ahead without turning')[1])
+    before = drive.map.points[:, :3]
+    coasted = drive.map.coasted(drive.stamp + 3 * STEP, K, SIZE)
+    np.testing.assert_allclose(coasted.R, exp(np.array([0, 0.12, 0])), atol=0.005)
+    off, _ = cKDTree(before).query(coasted.points[:, :3] @ coasted.R)
+    assert np.median(off) < 0.005
 
 
 def test_what_stands_still_is_foreseen_where_the_next_pair_shows_it(drive):
