@@ -447,8 +447,8 @@ struct HistoryRules {
 };
 
 // Sums the scores of regions over pairs and tells whom each continues: total and departed score
-// (R,), (R,), id of the mover or the stationary plane that it was (R,), and the new scores of all
-// blocks (N,), (N,). What is in no region this time is not forgotten at once.
+// (R,), (R,), id of the mover or the stationary plane that it was (R,), whether that was called
+// moving (R,), and the new scores of all blocks (N,), (N,). What is in no region this time is not forgotten at once.
 py::tuple histories(const py::object& regions, const py::object& scores_, const py::object& leaves_,
                     const py::object& before, const py::object& plane_id, std::int64_t ground,
                     const py::object& constants) {
@@ -467,6 +467,7 @@ py::tuple histories(const py::object& regions, const py::object& scores_, const 
                            number(constants, "same_plane")};
   Out<double> total({R}), gone({R}), to_score({n}), to_left({n});
   Out<std::int64_t> known({R});
+  Out<bool> moved({R});
   for (py::ssize_t i = 0; i < n; ++i) {
     to_score[i] = std::isnan(score[i]) || ground_like[i] ? 0 : rules.fading * score[i];
     to_left[i] = std::isnan(left[i]) ? 0 : rules.fading * left[i];
@@ -486,6 +487,7 @@ py::tuple histories(const py::object& regions, const py::object& scores_, const 
     total[r] = now[r] + rules.fading * value_before(scores, size, rules.part);
     gone[r] = std::max(leaves[r] + rules.fading * value_before(departures, size, rules.part), 0.0);
     known[r] = 3 * ids.size() >= size ? majority(ids).first : -1;
+    moved[r] = known[r] >= 0;
     if (known[r] < 0) {
       // A parked car that starts keeps its plane's id.
       const auto [own, count] = majority(planes);
@@ -499,8 +501,8 @@ py::tuple histories(const py::object& regions, const py::object& scores_, const 
       to_left[members[k]] = gone[r];
     }
   }
-  return py::make_tuple(total.array(), gone.array(), known.array(), to_score.array(),
-                        to_left.array());
+  return py::make_tuple(total.array(), gone.array(), known.array(), moved.array(),
+                        to_score.array(), to_left.array());
 }
 
 struct GrowthRules {

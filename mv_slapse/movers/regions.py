@@ -14,7 +14,7 @@ from mv_slapse.config import USUAL_HEIGHT
 from mv_slapse.geometry.blocks import count_macroblocks, MACROBLOCK
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.movers import body
-from mv_slapse.movers.identity import FADING, FIRST_ID, ids_of, Judged, Memory
+from mv_slapse.movers.identity import FADING, ids_of, Judged, Memory
 from mv_slapse.movers.moving_plane import fit_surfaces, Regions, settled, Surfaces, View
 from mv_slapse.movers.outlines import NOT_KNOWN, outlines
 from mv_slapse.movers.outlines import RULES as OUTLINE
@@ -129,13 +129,14 @@ class _Alike(NamedTuple):
 class _Scores(NamedTuple):
     """Scores (R,) of regions: of this pair and those before, of departure alone, and what was.
 
-    ``known`` is the id of the mover or stationary plane that each comes from, -1: none; ``score``
-    and ``left`` (N,) go to the blocks.
+    ``known`` is the id of the mover or stationary plane that each comes from, -1: none, ``moved``
+    whether that was called moving; ``score`` and ``left`` (N,) go to the blocks.
     """
 
     total: np.ndarray
     gone: np.ndarray
     known: np.ndarray
+    moved: np.ndarray
     score: np.ndarray
     left: np.ndarray
 
@@ -229,7 +230,7 @@ def _moves(alike, told, threshold, ground):
     suspect = score >= RULES.kept * threshold
     if ground.plane is not None and np.any(suspect):
         suspect &= np.maximum.reduceat(alike.under[alike.members], alike.first) > 0
-    moves |= suspect & (told.known >= FIRST_ID)
+    moves |= suspect & told.moved
     if np.any(moves) and np.any(suspect & ~moves):
         x = alike.x[alike.members]
         near = np.concatenate([x[alike.rows(i)] for i in np.flatnonzero(moves)])

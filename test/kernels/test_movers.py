@@ -197,6 +197,7 @@ def test_regions_sum_their_better_halves_and_keep_the_id_of_most(scene, rng, mid
         ids = before.id[member][before.id[member] >= 0]
         if 3 * len(ids) >= len(member):
             assert told.known[i] == np.bincount(ids).argmax()
+        assert told.moved[i] == (3 * len(ids) >= len(member))
     outside = np.setdiff1d(np.arange(n), alike.members)
     kept = np.where(alike.ground_like, 0.0, 0.85 * np.nan_to_num(given))
     np.testing.assert_allclose(told.score[outside], kept[outside])

@@ -174,6 +174,21 @@ def test_what_is_half_as_sure_moves_beside_a_mover_only():
     assert set(found.plane_id[sure]).isdisjoint(found.plane_id[beside])
 
 
+@pytest.mark.parametrize(('id_', 'called'), [(7, True), (-1, False)])
+def test_what_was_called_moving_is_given_up_later_whatever_its_id(id_, called):
+    pair, _, _, ground = behind_a_car_of_the_same_speed(1)
+    x = pair.x_cur.astype(float)
+    own = np.all(np.abs(x - (500, 240)) < (30, 40), axis=1)
+    pair = replace(pair, x_prev=np.where(own[:, None], x + (8.0, 0), pair.x_prev).astype(
+        np.float32))
+    known = np.where(own, id_, -1)  # 7: a parked car that has started keeps its plane's id
+    memory = Memory(0, pair.x_prev.astype(float), pair.block.astype(float), np.zeros_like(x),
+                    np.full(len(x), 3.0), np.zeros(len(x)), known, np.zeros(len(x), int))
+    found, memory = with_moving_planes(pair, memory, THRESHOLD, KnownGround(ground))
+    assert np.all((memory.score[own] > 0.5 * THRESHOLD) & (memory.score[own] < THRESHOLD))
+    assert np.mean(found.label[own] == Label.MOVING) == called
+
+
 def test_what_ends_above_the_horizon_does_not_move_with_what_is_beside_it():
     pair, _, _, ground = behind_a_car_of_the_same_speed(1)
     x = pair.x_cur.astype(float)
