@@ -37,7 +37,8 @@ class VideoSource:
         self._name = settings.source
         check_protocol(self._name)
         self._is_live = is_live(self._name)
-        self._pace = _Pace(0.0 if self._is_live else settings.source_rate)
+        self._waits = not self._is_live  # for the node: what comes was there before
+        self._rate = settings.source_rate
         self._origin = require('stamp_origin', settings.stamp_origin, STAMP_ORIGINS)
         self._start: int | None = None
         self._last, self._at = 0, 0.0
@@ -64,9 +65,11 @@ class VideoSource:
             try:
                 source = source or open_source(self._name)
                 has_end = source.has_end
+                self._waits = has_end or not self._is_live  # a file, maybe of the network
+                pace = _Pace(self._rate if self._waits else 0.0)
                 for packet in source.packets():
                     wait = FIRST_WAIT
-                    self._pace.wait(packet.stamp, self._stop)
+                    pace.wait(packet.stamp, self._stop)
                     if not self._put(packet):
                         break
                 source.close()
@@ -103,7 +106,7 @@ class VideoSource:
         elif not self._node.paused:
             moved = replace(item, stamp=item.stamp + self._offset())
             self._last, self._at = max(self._last, moved.stamp), time.monotonic()
-            self._node.latency.begin(time.monotonic() - came if self._is_live else 0.0)
+            self._node.latency.begin(0.0 if self._waits else time.monotonic() - came)
             self._node.attempt('source', self._deliver, moved, self._frame)
         self._guard.trigger()
 

@@ -1,8 +1,11 @@
 """A camera of the network that is not there yet, breaks off, and comes back."""
 
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 import os
 from pathlib import Path
 from threading import Thread
+import time
 
 import pytest
 
@@ -19,6 +22,7 @@ from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences  # noqa: E402
 from nodes import clips, network  # noqa: E402
 from nodes.bench import messages_of, value_of  # noqa: E402
+from nodes.conditions import state  # noqa: E402
 from nodes.network import free_port  # noqa: E402
 
 CAMERAS = {'tcp': network.camera, 'rtsp': network.rtsp_camera}
@@ -116,6 +120,23 @@ def test_a_device_that_is_no_camera_is_told_as_one(bench, tmp_path, stream):
                        camera_info_url=str(tmp_path / 'camera.yaml'))
     assert bench.spin(lambda: value_of(node, 'condition') == 'unreachable', 10)
     assert '/dev/null cannot be opened as a video' in messages_of(node)
+
+
+def test_a_file_by_http_lasts_as_long_as_it_shows(bench, tmp_path):
+    write_video(tmp_path / 'clip.mp4', clips.pictures(), clips.FPS)
+    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    handler = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
+    with ThreadingHTTPServer(('127.0.0.1', 0), handler) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        begin = time.monotonic()
+        node = bench.start(
+            DecoderNode, source=f'http://127.0.0.1:{server.server_port}/clip.mp4',
+            source_rate=2.0, max_latency=0.5, camera_info_url=str(tmp_path / 'camera.yaml'))
+        assert bench.spin(lambda: state(node) == 'ended', 20)
+        server.shutdown()
+    last = (len(clips.pictures()) - 1) / clips.FPS
+    assert time.monotonic() - begin > 0.9 * last / 2
+    assert not value_of(node, 'packets dropped by overload')
 
 
 def test_a_stream_without_vectors_from_the_network_is_encoded_again(bench, tmp_path, stream):
