@@ -19,6 +19,7 @@ struct Picture {
   In<std::int8_t> direction;
   In<std::uint8_t> block;
   int columns, rows;  // cells, with a margin of two on each side
+  int end;            // column beyond the last macroblock
   float rise;         // px, of a vector that equals its prediction; 0: unknown
 
   Picture(const char* kernel, const py::tuple& frame)
@@ -28,6 +29,7 @@ struct Picture {
         block(kernel, "block", frame[3], {x.size(), 2}),
         columns(frame[4].cast<int>() / CELL + 4),
         rows(frame[5].cast<int>() / CELL + 4),
+        end(1 + 2 * ((frame[4].cast<int>() + MACROBLOCK - 1) / MACROBLOCK)),
         rise(frame[6].cast<float>()) {
     require(columns >= 4 && rows >= 4, kernel, "the picture's size is negative");
   }
@@ -71,7 +73,7 @@ std::vector<float> leaning(const Picture& p) {
       if (!p.is(i, side) || p.block(i, 0) != MACROBLOCK || p.block(i, 1) != MACROBLOCK || cell < 0)
         continue;
       // To the right of the last macroblock there is none: the one above to the left is taken.
-      const bool last = cell % p.columns + 2 > p.columns - 4;
+      const bool last = cell % p.columns + 2 >= p.end;
       const Vec2 around[3] = {table[cell - 1], table[cell - p.columns],
                               table[cell - p.columns + (last ? -1 : 2)]};
       Vec2 use[3], only{};

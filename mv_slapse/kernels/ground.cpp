@@ -1,5 +1,5 @@
 // The ground of a pair: its height by the blocks on the camera's way, and its plane. The reasons
-// for the rules stand in surfaces/ground.py, surfaces/height.py and surfaces/upright.py.
+// for the rules stand in surfaces/ground.py and surfaces/height.py.
 
 #include <algorithm>
 #include <cmath>

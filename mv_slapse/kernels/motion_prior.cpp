@@ -1,5 +1,7 @@
 // The motion field of the pairs before, as the expectation for the next one, see codec/prior.py.
 
+#include <optional>
+
 #include "blocks.hpp"
 
 namespace kernels {
@@ -23,8 +25,10 @@ py::array_t<float> prior_update(const py::tuple& pair, const py::object& before,
     double x, y, weight;
   };
   std::vector<Sum> sums((columns + 1) * (rows + 1), Sum{});
-  const auto older = before.is_none() ? nullptr : In<float>(name, "before", before, {rows, columns, 2},
-                                                            Check::finite).data();
+  std::optional<In<float>> known;
+  const std::initializer_list<py::ssize_t> shape{rows, columns, 2};
+  if (!before.is_none()) known.emplace(name, "before", before, shape, Check::finite);
+  const float* older = known ? known->data() : nullptr;
   for (int i = 0; i < n; ++i) {
     const bool here = !std::isnan(field[i].x);
     float x = here ? field[i].x / seconds : 0, y = here ? field[i].y / seconds : 0, weight = here;

@@ -1,5 +1,5 @@
 // What stood still a while ago, where it must be now, and what is farther than that; the labels of
-// macroblocks. movers/reference_depth.py and movers/macroblocks.py.
+// macroblocks. movers/reference_depth.py.
 
 #include <algorithm>
 #include <cmath>

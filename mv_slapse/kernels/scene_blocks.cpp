@@ -1,5 +1,5 @@
 // What the scene filter takes from a pair's blocks, and what its map says of planes. See
-// scene/input.py, scene/noise.py, scene/scale/ratio.py and scene/plane_map.py.
+// scene/update.py, scene/noise.py, scene/scale/ratio.py and scene/plane_map.py.
 
 #include <algorithm>
 #include <cmath>

@@ -1,6 +1,6 @@
 // Stationary planes of a pair: windows of the lattice propose planes, and planes are chosen one
 // after another by the blocks that each explains and none before it does. The reasons for the
-// rules stand in surfaces/plane_search.py and surfaces/windows.py.
+// rules stand in surfaces/plane_search.py.
 
 #include <algorithm>
 #include <cmath>
@@ -8,12 +8,6 @@
 
 #include "depths.hpp"
 #include "lattice.hpp"
-
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__SANITIZE_ADDRESS__)
-#define FOR_EACH_PROCESSOR __attribute__((target_clones("avx2", "default")))
-#else
-#define FOR_EACH_PROCESSOR
-#endif
 
 namespace kernels {
 namespace {
@@ -109,7 +103,7 @@ KERNELS_INLINE Four before(int i, int last) {
 }
 
 // Equations of blocks from first to last within reach of a centre, each weighted by its error.
-FOR_EACH_PROCESSOR
+KERNELS_WIDE
 Equations equations_near(const Whitened& blocks, const double* x, const double* y, Run run,
                          const double* centre, double reach, const Vec3& plane, double softness) {
   Sums sums;
@@ -126,7 +120,7 @@ Equations equations_near(const Whitened& blocks, const double* x, const double* 
 
 // Equations of a window's blocks, each weighted by its error on a plane; all alike where softness
 // is 0.
-FOR_EACH_PROCESSOR
+KERNELS_WIDE
 Equations equations_in(const Whitened& blocks, const Run* runs, int n, const Vec3& plane,
                        double softness) {
   Sums sums;
@@ -141,7 +135,7 @@ Equations equations_in(const Whitened& blocks, const Run* runs, int n, const Vec
 }
 
 // Sum of the squared errors of a window's blocks on a plane, each at most ``cap``.
-FOR_EACH_PROCESSOR
+KERNELS_WIDE
 double capped_errors(const Whitened& blocks, const Run* runs, int n, const Vec3& plane,
                      double cap) {
   Four total = broadcast(0);
@@ -156,7 +150,7 @@ double capped_errors(const Whitened& blocks, const Run* runs, int n, const Vec3&
 }
 
 // Squared errors of blocks on a plane.
-FOR_EACH_PROCESSOR
+KERNELS_WIDE
 void squared_errors(const Whitened& blocks, int first, int last, const Vec3& plane, double* out) {
   for (int i = first; i < last; i += STEP) {
     const Four error = load(&blocks.ray[0][i]) * plane[0] + load(&blocks.ray[1][i]) * plane[1] +
@@ -166,7 +160,7 @@ void squared_errors(const Whitened& blocks, int first, int last, const Vec3& pla
 }
 
 // Sum of what gains have more than is taken already; both end with LANES zeros.
-FOR_EACH_PROCESSOR
+KERNELS_WIDE
 double sum_of_more(const double* gain, const double* taken, int first, int last) {
   Four total = broadcast(0);
   for (int i = first / STEP * STEP; i < last; i += STEP) {  // each block in its lane

@@ -71,10 +71,11 @@ def turn(pair: two_view.Pair, R, steps: int = 6):
 
 
 def calibrated(pair: two_view.Pair, fit: MotionFit, noise: float) -> float:
-    """Return the scale of sigma that the errors of this pair show, smoothed over the last pairs.
+    """Return the scale of sigma that the errors of this pair show.
 
     The scale is the median epipolar error of the blocks within three sigma, over the median of
-    a Gaussian cut there: wrong vectors do not count. ``noise`` is that of the pair before.
+    a Gaussian cut there: wrong vectors do not count. ``noise`` is that of the pair before,
+    by which it is told what lies within three sigma, and the answer where too few blocks do.
     """
     return compiled.noise_scale(*two_view.columns(pair, fit.R_cur_from_prev, fit.t_cur_from_prev),
                                 noise, MIN_CORRESPONDENCES)

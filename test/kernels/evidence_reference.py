@@ -122,7 +122,7 @@ def predicted(frame: FrameVectors, whole: np.ndarray, direction: int) -> np.ndar
     column, row = cell[whole].T
     left, above, beside = (table[row + dy, column + dx] for dy, dx in ((0, -1), (-1, 0), (-1, 2)))
     # To the right of the last macroblock there is none: the one above to the left is taken.
-    last = column + 2 > frame.width // CELL
+    last = column + 2 >= 1 + 2 * -(-frame.width // 16)
     beside[last] = table[row[last] - 1, column[last] - 1]
     around = np.stack([left, above, beside])
     there = np.isfinite(around[..., 0])
