@@ -128,12 +128,6 @@ class Verdict:
             return ''
         return f'× {exp(b - a):.3f}' if measure.combine is gate.log_mean else f'{b - a:+.3g}'
 
-    def time(self) -> str:
-        """Return the CPU time without the rule, over that with it; of all rows."""
-        spent = [sum(row.get('cpu_ms', 0.0) for row in rows.values())
-                 for rows in (self.before, self.after)]
-        return f'× {spent[1] / spent[0]:.2f}' if spent[0] else ''
-
 
 def page(verdicts: Sequence[Verdict], commit: str, which: str, n_rows: int) -> str:
     """Return the whole page."""
@@ -143,14 +137,14 @@ def page(verdicts: Sequence[Verdict], commit: str, which: str, n_rows: int) -> s
              'scene). Columns: all rows without the rule against with it; groups: figures of '
              'groups that are worse, and better, without it by more than twice the scatter; '
              'single rows: figures of rows that are, by more than the least that counts.', '',
-             f'| rule | verdict | groups | single rows | same rows | {" | ".join(TOLD)} | CPU |',
-             '|' + ' --- |' * (len(TOLD) + 6)]
+             f'| rule | verdict | groups | single rows | same rows | {" | ".join(TOLD)} |',
+             '|' + ' --- |' * (len(TOLD) + 5)]
     for verdict in verdicts:
         lines.append('| ' + ' | '.join([
             verdict.rule.name, verdict.judgement, f'{len(verdict.earned)}, {len(verdict.cost)}',
             '{}, {}'.format(*verdict.single),
             f'{verdict.same} of {len(verdict.before)}',
-            *map(verdict.over_all, TOLD.values()), verdict.time()]) + ' |')
+            *map(verdict.over_all, TOLD.values())]) + ' |')
     for verdict in verdicts:
         lines += ['', f'## {verdict.rule.name}', '', f'{verdict.rule.what}.'.capitalize(), '']
         for title, found in (('Worse', verdict.earned), ('Better', verdict.cost)):

@@ -192,7 +192,8 @@ def of_planes(table: detection.Table, labels: LabelTable, truth: Truth, scale: f
         return {}
     shares = planes.plane_shares(table, truth.planes, labels, truth.labels).max(axis=1)
     some = {name: values[shares >= planes.PURE] for name, values in table.items()}
-    return planes.figures(planes.evaluate(some, truth.planes, truth.trajectory, scale)) | {
+    return planes.figures(planes.evaluate(
+        some, truth.planes, truth.trajectory, scale, (labels, truth.labels))) | {
         'on_one_percent': 100 * float(np.mean(shares[np.isfinite(shares)] >= planes.PURE)),
         'n_rows': int(np.isfinite(shares).sum())}
 

@@ -226,8 +226,10 @@ def written(content: dict[str, Any]) -> str:
 def _compare(options: argparse.Namespace) -> int:
     before, after = (json.loads(path.read_text()) for path in (options.before, options.after))
     print(text(before, after))
-    return int(any(change.is_flagged for change in
-                   changes(before['rows'], after['rows'], before.get('altered'))))
+    old, new = before['rows'], after['rows']
+    failed = _errors(old, {name: row for name, row in new.items() if name in old})
+    return int(bool(failed) or any(change.is_flagged for change in changes(
+        old, new, before.get('altered'))))
 
 
 def main(arguments: list[str] | None = None) -> int:

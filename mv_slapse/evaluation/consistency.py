@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 BOUND = 14.16  # chi-square of 3 degrees of freedom: as probable as 3 sigma of one, 99.73 %
 WIDTHS = (100.0, 30.0, 10.0, 3.0, 3.0, 3.0)  # sigma, of the kernel: narrower from step to step
-REST_SIGMA = 1e-3  # m and rad: a camera at rest has no error of its own
+REST_SIGMA = 1e-6  # m and rad: a camera at rest has no error, but for the digits of the files
 TRUTH_SIGMA = 0.01  # m, of recorded positions from one to the next
 
 
@@ -53,9 +53,10 @@ def figures(estimate: Trajectory, covariances: dict[int, np.ndarray], truth: Tra
         return {'position_covered_percent': None, 'pose_nees': None}
     P = np.array([covariances[stamp] for stamp in estimate.stamps[i]])
     P = P + np.eye(6) * REST_SIGMA**2
-    of_position = P[:, :3, :3] + np.eye(3) * (0 if is_exact else TRUTH_SIGMA)**2
-    square = aligned_squares(estimate.positions[i], truth.positions[j], of_position,
-                             not is_metric)
+    source, target = estimate.positions[i], truth.positions[j]
+    metre = 1.0 if is_metric else align(target, source, True).scale  # [map unit]
+    of_position = P[:, :3, :3] + np.eye(3) * (0 if is_exact else metre * TRUTH_SIGMA)**2
+    square = aligned_squares(source, target, of_position, not is_metric)
     error = pose_errors(estimate, truth, i, j, is_metric) if is_exact else None
     return {'position_covered_percent': 100 * float(np.mean(square < BOUND)),
             'pose_nees': None if error is None else

@@ -65,6 +65,11 @@ def confirmed(obstacles: Table) -> Table:
     return select(obstacles, obstacles['state'] == 'confirmed')
 
 
+def published(obstacles: Table) -> Table:
+    """Return the rows of obstacles that planners use: confirmed, seen or coasting."""
+    return select(obstacles, obstacles['state'] != 'tentative')
+
+
 def select(table: Table, mask: np.ndarray) -> Table:
     """Return some rows of a table."""
     return {name: values[mask] for name, values in table.items()}
@@ -80,7 +85,7 @@ def obstacle_figures(obstacles: Table, n_key_frames: int) -> dict[str, Any]:
 def box_figures(obstacles: Table, stamps: np.ndarray, frames: Table, fps: float
                 ) -> dict[str, Any]:
     """Return in how many key frames an annotated box meets an obstacle (``boxes.csv``)."""
-    rows = select(obstacles, obstacles['state'] != 'tentative')
+    rows = published(obstacles)
     frame_stamps = np.round(frames['frame'] / fps * 1e9).astype(np.int64)
     i, j = associate(stamps, frame_stamps)
     truth = boxes(frames)

@@ -15,6 +15,7 @@ from mv_slapse.evaluation.detection import (
     hold_movers,
     MIN_MACROBLOCKS,
     PointLabels,
+    published,
     select,
     Table,
 )
@@ -68,12 +69,13 @@ def figures(obstacles: Table, stamps: np.ndarray, movers: Table | None, course: 
     points : PointLabels or None
         Where ``movers`` are the boxes around these: they tell better what an obstacle is on.
     """
-    rows = confirmed(obstacles)
+    rows = published(obstacles)
     found: dict[str, Any] = {}
     if movers is not None:
         frames = tracking.key_frames(stamps, movers)
         if 'aside' in movers:
-            ahead, met = hazards(movers), tracking.matched(rows, movers, frames)
+            ahead = hazards(movers)
+            met = tracking.matched(confirmed(obstacles), movers, frames)
             found = _hazards_met(ahead, movers, met) | _others_met(ahead, movers, met)
         rows = select(rows, ~tracking.on_movers(rows, movers, frames))
     if points is not None:

@@ -14,6 +14,7 @@ from mv_slapse.evaluation.detection import (
     confirmed,
     iou,
     MIN_MACROBLOCKS,
+    published,
     SAME,
     select,
     Table,
@@ -77,7 +78,8 @@ def figures(obstacles: Table, stamps: np.ndarray, movers: Table, path: Trajector
             **_errors(rows, movers, matches, path, scale),
             'obstacle_nees': _nees(rows, movers, matches, scale, covariances or {}),
             'false_obstacles_per_frame':
-                float(np.sum(~on_movers(rows, movers, frames))) / max(len(stamps), 1)}
+                float(np.sum(~on_movers(published(obstacles), movers, frames)))
+                / max(len(stamps), 1)}
 
 
 def passages(movers: Table, holds: np.ndarray) -> list[Passage]:
@@ -181,7 +183,7 @@ def _errors(rows: Table, movers: Table, matches: list[Match], path: Trajectory |
     position = np.linalg.norm(scale * _vectors(rows, 'p')[a] - _vectors(movers, 'p')[b], axis=1)
     velocity = np.linalg.norm(scale * _vectors(rows, 'v')[a] - _vectors(movers, 'v')[b], axis=1)
     true, found = movers['ttc'][b], rows['ttc'][a]
-    near = np.isfinite(found) & (true > 0) & (true < FAR_CONTACT)
+    near = (true > 0) & (true < FAR_CONTACT)  # one that is told as never is infinitely wrong
     contact = 100 * np.abs(found[near] - true[near]) / true[near]
     result = {'obstacle_position_error_m': _median(position),
               'obstacle_velocity_error_m_s': _median(velocity),

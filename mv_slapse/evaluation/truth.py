@@ -89,17 +89,21 @@ def read_planes(path: Path) -> list[TruePlane]:
 
 def read_labels(path: str | Path) -> LabelTable:
     """Return the labels of a labels.npz or truth_labels.npz."""
-    content = read_arrays(path, ('stamp', 'x', 'y', 'label', 'plane'))
-    stamps = np.round(content['stamp'] * 1e9).astype(np.int64)
+    content = read_arrays(path, ('stamp', 'x', 'y', 'label', 'plane'), ('stamp_ns',))
+    stamps = content.get('stamp_ns')
+    if stamps is None:  # as the simulator writes it
+        stamps = np.round(content['stamp'] * 1e9).astype(np.int64)
     return LabelTable(stamps, content['x'], content['y'], content['label'].astype(int),
                       content['plane'].astype(int))
 
 
-def read_arrays(path: str | Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+def read_arrays(path: str | Path, names: tuple[str, ...],
+                optional: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
     """Return named arrays of an .npz file, or raise UnusableInput."""
     try:
         with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in names}
+            return {name: archive[name] for name in (
+                *names, *(name for name in optional if name in archive))}
     except (OSError, ValueError, KeyError) as error:
         raise UnusableInput(f'{path} does not hold the arrays {", ".join(names)}: {error}'
                             ) from None

@@ -78,6 +78,7 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None, marks: Mar
                          '--boxes or --annotation')
     results = read_results(out, stamp_offset)
     truth = read_truth(ground_truth) if ground_truth is not None else Truth()
+    is_exact = ground_truth is not None and Path(ground_truth).is_dir()  # of the simulator
     figures = _counts(results) | {'unexplained_step': consistency.unexplained_step(
         read_scenes(out))}
     scale = 1.0
@@ -91,7 +92,7 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None, marks: Mar
             results.trajectory, truth.trajectory, results.is_metric)
         figures |= consistency.figures(
             results.trajectory, read_pose_covariances(out, stamp_offset), truth.trajectory,
-            results.is_metric, is_exact=truth.planes is not None)
+            results.is_metric, is_exact=is_exact)
         scale = 1.0 if results.is_metric else score.alignment.scale
     figures |= _plane_figures(results, truth, scale)
     if truth.movers is not None:
@@ -209,9 +210,10 @@ def text(figures: dict[str, Any]) -> str:
 
 
 def _counts(results: Results) -> dict[str, Any]:
-    n_key_frames = len(results.labels.stamps)
-    return {'n_poses': len(results.trajectory),
-            'n_key_frames': results.summary.get('key_frames', n_key_frames + 1),
+    n_key_frames, n_poses = len(results.labels.stamps), len(results.trajectory)
+    n_all = results.summary.get('key_frames', n_key_frames + 1)
+    return {'n_poses': n_poses, 'n_key_frames': n_all,
+            'posed_percent': 100 * min(n_poses / max(n_all, 1), 1.0),
             'scale_status': results.summary.get('scale_status', 'unknown'),
             **detection.obstacle_figures(results.obstacles, n_key_frames)}
 

@@ -8,9 +8,12 @@ from collections.abc import Callable, Iterable
 import csv
 from dataclasses import dataclass
 import io
+from pathlib import Path
 import re
 import statistics
 from typing import Any
+
+from mv_slapse.tools.cases import ENCODINGS
 
 Rows = dict[str, dict[str, Any]]
 HEIGHT, SPEED, FREE = 'height or none', 'speed given', 'free scale'
@@ -56,6 +59,7 @@ class Question:
     columns: tuple[Column, ...]
     needed: str  # a row without this figure is not in it
     by: Callable[[Name], str]
+    of: Callable[[Rows], Rows] = dict  # which rows are asked
 
 
 def name_of(row: str) -> Name:
@@ -76,6 +80,16 @@ def _kind(name: Name) -> str:
 def _clips_by_encoding(name: Name) -> str:
     """Return the kind; of the given clips, which have few movers, for each encoding."""
     return f'{_kind(name)}, {name.encoding}' if name.kind.startswith(CLIPS) else _kind(name)
+
+
+def _in_all_encodings(measured: Rows) -> Rows:
+    """Return the rows of those scenes that each encoding of ENCODINGS has."""
+    main = {Path(file).stem for file in ENCODINGS}
+    has: dict[str, set[str]] = {}
+    for row in measured:
+        has.setdefault(row.rpartition('/')[0], set()).add(name_of(row).encoding)
+    return {row: figures for row, figures in measured.items() if name_of(row).encoding in main
+            and has[row.rpartition('/')[0]] >= main}
 
 
 def _median(title: str, key: str, form: str) -> Column:
@@ -106,17 +120,21 @@ QUESTIONS = (
               Column('standstill [m]', 'standstill_drift_m', max, '{:.3f}')),
              'ate_mean_percent', _kind),
     Question('Are its covariances right?',
-             'Covered: positions within 3 sigma of the true ones, the least; NEES: of poses, 6 if '
-             'the covariances are right, where the truth is exact.',
-             (_median('covered [%]', 'position_covered_percent', '{:.0f}'),
+             'Posed: key frames with a pose; covered: positions of these within 3 sigma of the '
+             'true ones; NEES: of poses, 6 if the covariances are right, where the truth is '
+             'exact.',
+             (_median('posed [%]', 'posed_percent', '{:.0f}'),
+              Column('least', 'posed_percent', min, '{:.0f}'),
+              _median('covered [%]', 'position_covered_percent', '{:.0f}'),
               Column('least', 'position_covered_percent', min, '{:.0f}'),
               _median('NEES', 'pose_nees', '{:.1f}'), _worst('pose_nees', '{:.1f}')),
              'position_covered_percent', _kind),
-    Question('Does the encoding matter?', 'Medians over all scenes that have a true way.',
+    Question('Does the encoding matter?',
+             'Medians over the scenes with a true way that are there in each of these encodings.',
              (_median('ATE [%]', 'ate_mean_percent', '{:.3f}'),
               _worst('ate_mean_percent', '{:.3f}'),
               _median('rigid [%]', 'ate_rigid_mean_percent', '{:.2f}')),
-             'ate_mean_percent', lambda name: name.encoding),
+             'ate_mean_percent', lambda name: name.encoding, _in_all_encodings),
     Question('Are the planes there?',
              'Found: true planes that were found, in all; errors: medians; on one: observations '
              'of planes four fifths of whose macroblocks lie on one true plane.',
@@ -188,7 +206,7 @@ def rows_as_csv(measured: Rows) -> str:
 
 def _table(question: Question, measured: Rows) -> str:
     groups: dict[str, list[dict[str, Any]]] = {}
-    for row, figures in measured.items():
+    for row, figures in question.of(measured).items():
         if figures.get(question.needed) is not None:
             groups.setdefault(question.by(name_of(row)), []).append(figures)
     head = ['', 'rows', *(column.title for column in question.columns)]

@@ -34,7 +34,7 @@ OF_PICTURES = ('simulation', 'codec/encoding/encoder.py')
 OF_VECTORS = ('codec', 'geometry/blocks.py', 'geometry/camera.py', 'geometry/rotation.py')
 KERNELS = 'kernels'  # counted among them where the codec calls them
 NOT_MEASURED = ('nodes', 'launch', 'tools')  # what no figure depends on, but for
-TOOLS = tuple(f'tools/{name}.py' for name in ('cases', 'altered', 'eval', 'run'))
+TOOLS = tuple(f'tools/{name}.py' for name in ('cases', 'altered', 'eval', 'run', 'rows'))
 DIGITS = 6  # of the figures that are kept
 
 Figures = dict[str, Any]
@@ -74,9 +74,17 @@ class Cache:
             _write(file, pickle.dumps(decode(case.video, case.camera, settings)))
         return pickle.loads(file.read_bytes())  # nosec B301
 
-    def figures(self, name: str) -> Path:
-        """Return where the figures of a row are kept."""
-        return self.folder / 'figures' / self.label / (_slug(name, name) + '.json')
+    def figures(self, case: Case) -> Path:
+        """Return where the figures of a row are kept, which go with what it measures.
+
+        Scenes of other seeds and lengths may have the same name.
+        """
+        truth = case.ground_truth
+        files = [case.video, case.labels, case.boxes, case.annotation,
+                 *(sorted(truth.iterdir()) if truth and truth.is_dir() else [truth])]
+        content = [sha256(file.read_bytes()).hexdigest() for file in files if file]
+        slug = _slug(case.name, repr(case.camera), repr(case.height), repr(case.speeds), *content)
+        return self.folder / 'figures' / self.label / f'{slug}.json'
 
 
 def measure_all(scenes: Sequence[Scene], cache: Cache, workers: Workers,
@@ -121,7 +129,7 @@ def measure_all(scenes: Sequence[Scene], cache: Cache, workers: Workers,
 
 def measured(case: Case, cache: Cache) -> tuple[str, Figures]:
     """Return the name and the figures of a case; they are kept."""
-    file = cache.figures(case.name)
+    file = cache.figures(case)
     if not file.exists():
         _write(file, json.dumps(rounded(measure(case, cache)), indent=1).encode())
     return case.name, json.loads(file.read_text())

@@ -152,7 +152,7 @@ def test_rules_are_measured_once_and_written_down(tmp_path, monkeypatch):
     monkeypatch.setattr(ablation, 'measure_all', measure)
     page = tmp_path / 'page.md'
     assert ablation.main(['--rules', 'terrain, body', '--cache', str(tmp_path), '-o',
-                          str(page), '--data', str(tmp_path), '--reference', 'none']) == 0
+                          str(page), '--data', str(tmp_path)]) == 0
     assert len({label for label, _ in measured}) == 3
     assert [change and change.args for _, change in measured] == [None, ('terrain',), ('body',)]
     text = page.read_text()

@@ -42,6 +42,13 @@ def test_covariances_three_times_too_small_do_not(rng):
     assert found['pose_nees'] == pytest.approx(54, rel=0.1)
 
 
+def test_small_errors_of_small_covariances_count_as_much(rng):
+    estimate, covariances, truth = made_up_pair(rng, 2e-4)
+    small = {stamp: P / 9 for stamp, P in covariances.items()}
+    found = consistency.figures(estimate, small, truth, is_metric=True, is_exact=True)
+    assert found['pose_nees'] == pytest.approx(54, rel=0.1)
+
+
 def test_a_free_scale_is_aligned_and_a_metric_one_is_not(rng):
     given = made_up_pair(rng, 0.05, scale=3.0)
     covered = [consistency.figures(*given, is_metric=metric, is_exact=False)

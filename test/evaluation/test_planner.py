@@ -87,6 +87,10 @@ def test_what_is_ahead_where_nothing_moves_is_false_braking_in_its_last_three_se
     assert (found['false_braking_frames'], found['frames_judged']) == (N - 15, N)
     assert figures(table(range(1, N)), movers())['false_braking_frames'] == 0
     assert figures(table(range(1, N), state='tentative'), nothing)['false_braking_frames'] == 0
+    # Planners use what goes on unseen, too.
+    coasting = figures(table(range(1, N), state='coasting'), nothing)
+    assert coasting['false_braking_frames'] == figures(table(range(1, N)), nothing)[
+        'false_braking_frames'] > 0
 
 
 @pytest.mark.parametrize(('px', 'false'), [(2.0, N - 15), (2.2, 0), (-2.2, 0)])

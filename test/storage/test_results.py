@@ -102,7 +102,8 @@ def test_labels_have_a_row_for_each_key_frame(out, steps):
             np.testing.assert_array_equal(labels['label'][k], step.extraction.macroblock_label)
             np.testing.assert_array_equal(labels['plane'][k], step.extraction.macroblock_plane)
     n = 20 * 15
-    assert shapes == {'stamp': (4,), 'x': (n,), 'y': (n,), 'label': (4, n), 'plane': (4, n)}
+    assert shapes == {'stamp': (4,), 'stamp_ns': (4,), 'x': (n,), 'y': (n,), 'label': (4, n),
+                      'plane': (4, n)}
 
 
 def test_the_map_holds_every_plane_there_ever_was(tmp_path, rng):

@@ -1,7 +1,9 @@
 """Rows of the evaluation in processes of their own, and what is kept of them."""
 
+from dataclasses import replace
 from functools import partial
 import json
+from shutil import copytree
 
 from mv_slapse.config import Settings
 from mv_slapse.storage.camera_info import read_camera
@@ -49,21 +51,34 @@ def test_a_row_has_its_figures(measured):
 
 def test_figures_that_are_kept_are_not_measured_again(scenes, cache, measured, monkeypatch):
     case, = cache.cases(scenes[0])
-    cache.figures(case.name).write_text(json.dumps({'n_poses': 77}))
+    cache.figures(case).write_text(json.dumps({'n_poses': 77}))
     try:
         assert rows.measured(case, cache) == (case.name, {'n_poses': 77})
     finally:
-        cache.figures(case.name).unlink()
+        cache.figures(case).unlink()
     monkeypatch.setattr(rows, 'decode', None)  # the correspondences are kept as well
     again = rows.measured(case, cache)[1]
     same = measured[case.name]
     assert again | {'cpu_ms': 0} == same | {'cpu_ms': 0}
 
 
-def test_other_code_is_measured_again(cache, measured):
+def test_other_code_is_measured_again(scenes, cache, measured):
+    case, = cache.cases(scenes[0])
     other = rows.Cache(cache.folder, 'then')
-    assert cache.figures('a') != other.figures('a')
-    assert not other.figures('a').exists()
+    assert cache.figures(case) != other.figures(case)
+    assert cache.figures(case).exists()
+    assert not other.figures(case).exists()
+
+
+def test_other_pictures_truth_height_or_speeds_under_one_name_are_other_figures(
+        scenes, cache, measured, tmp_path):
+    case, = cache.cases(scenes[0])
+    copytree(case.ground_truth, tmp_path / 'truth')
+    (tmp_path / 'truth' / 'movers.csv').write_text('another')
+    (tmp_path / 'video').write_bytes(b'another')
+    others = [replace(case, video=tmp_path / 'video'), replace(case, height=case.height + 1),
+              replace(case, ground_truth=tmp_path / 'truth'), replace(case, speeds=(None,))]
+    assert len({cache.figures(one) for one in [case, *others]}) == 5
 
 
 def test_a_change_is_made_in_each_process(scenes, cache, measured):
