@@ -16,9 +16,11 @@ KERNELS := $(VENV)/.kernels
 PACKAGE := $(VENV)/.package
 INTERFACES := $(wildcard msg_defs msg_defs/* msg_defs/msg/*)
 OTHER_INTERFACES := $(wildcard test/interfaces/* test/interfaces/*/* test/interfaces/*/*/*)
-# Sourcing Jazzy from apt, or no longer doing so, asks for another environment.
-ROS := $(if $(and $(filter jazzy,$(ROS_DISTRO)),$(AMENT_PREFIX_PATH)),apt,wheels)
-ifneq ($(subst none,wheels,$(file <$(VENV)/.ros)),$(ROS))
+# Sourcing Jazzy from apt, or no longer doing so, asks for another environment; so does another place.
+# An environment of wheels that is sourced itself is none of apt's.
+PREFIXES := $(filter-out $(CURDIR)/$(VENV),$(subst :, ,$(AMENT_PREFIX_PATH)))
+ROS := $(if $(and $(filter jazzy,$(ROS_DISTRO)),$(wildcard $(addsuffix /share/rclpy,$(PREFIXES)))),apt,wheels)
+ifneq ($(subst none,wheels,$(file <$(VENV)/.ros)) $(file <$(VENV)/.place),$(ROS) $(CURDIR))
 .PHONY: $(LIBRARIES)
 endif
 

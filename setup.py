@@ -208,8 +208,9 @@ DATA_FILES = [
     ('share/' + NAME + '/launch', sorted(glob('mv_slapse/launch/*.launch.py'))),
     ('share/' + NAME + '/config', sorted(filter(os.path.isfile, glob('config/*')))),
 ]
-# Beside the nodes' scripts, in lib/mv_slapse; pip puts the program itself into bin.
-PROGRAMS = [('bin', ['.setup/bin/mv_slapse'])] if BY_COLCON else []
+# colcon leaves bin to what is no script of a node, pip what CMake makes of the messages.
+OTHERS = ([('bin', ['.setup/bin/mv_slapse'])] if BY_COLCON else
+          [('share/mv_slapse_msgs/msg', sorted(glob('msg_defs/msg/*.msg')))])
 SCRIPTS = [PROGRAM, *(f'{node} = mv_slapse.nodes.{node}:main' for node in NODES if BY_COLCON)]
 
 setup(
@@ -220,7 +221,7 @@ setup(
     maintainer='mv_slapse maintainers',
     maintainer_email='mv-slapse@users.noreply.github.com',
     packages=find_packages(include=[NAME, NAME + '.*']),
-    data_files=[*DATA_FILES, *PROGRAMS],
+    data_files=[*DATA_FILES, *OTHERS],
     python_requires='>=3.11',
     # ROS brings the libraries as system packages, under names that pip does not know.
     install_requires=['setuptools'] if BY_COLCON else REQUIREMENTS,

@@ -4,6 +4,7 @@
 set -eu
 venv=$1
 here=$(cd "$(dirname "$0")" && pwd)
+place=$(pwd -P)
 missing= packages= log=
 
 fail() {
@@ -29,8 +30,17 @@ find_python() {
     done
 }
 
+# Whether ROS is sourced from elsewhere than the environment that is made here.
+is_sourced() {
+    (IFS=:
+    for prefix in ${AMENT_PREFIX_PATH:-}; do
+        [ "$prefix" != "$place/$venv" ] && [ -d "$prefix/share/rclpy" ] && exit 0
+    done
+    exit 1)
+}
+
 # Jazzy counts as installed only where it is sourced: containers set ROS_DISTRO without it.
-if [ "${ROS_DISTRO:-}" = jazzy ] && [ -n "${AMENT_PREFIX_PATH:-}" ]; then
+if [ "${ROS_DISTRO:-}" = jazzy ] && is_sourced; then
     ros=apt
 elif [ "$(uname -sm)" = 'Linux x86_64' ]; then
     ros=wheels
@@ -73,17 +83,21 @@ install() {
 in pip's configuration? Then run the same command again."
 }
 
-# A virtual environment made for the other kind of ROS would shadow this one's libraries.
-if [ -e "$venv/.ros" ] && [ "$(cat "$venv/.ros")" != "$ros" ]; then
+# A virtual environment made for the other kind of ROS would shadow this one's libraries; one that
+# was copied or moved names the files of its old place.
+if { [ -e "$venv/.ros" ] && [ "$(cat "$venv/.ros")" != "$ros" ]; } ||
+    { [ -e "$venv/.place" ] && [ "$(cat "$venv/.place")" != "$place" ]; }; then
     rm -rf "$venv"
 fi
-if ! suits "$venv/bin/python"; then
+# Without pip its set-up was interrupted.
+if ! suits "$venv/bin/python" || ! "$venv/bin/python" -m pip --version >/dev/null 2>&1; then
     rm -rf "$venv"
     "$python" -m venv $([ "$ros" = apt ] && echo --system-site-packages) "$venv"
 fi
 venv=$(cd "$venv" && pwd)
 log=$venv/setup.log
 echo "$ros" >"$venv/.ros"
+echo "$place" >"$venv/.place"
 : >"$log"
 
 echo "mv_slapse set-up: installing libraries into $venv (ROS: $ros)"

@@ -162,6 +162,10 @@ def test_a_wheel_holds_the_kernels(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     wheel, = tmp_path.glob('*.whl')
     assert sysconfig.get_platform().replace('-', '_') in wheel.name
+    held = {path.name for path in (ROOT / 'msg_defs' / 'msg').glob('*.msg')}
+    shared = [name for name in zipfile.ZipFile(wheel).namelist()
+              if '.data/data/share/mv_slapse_msgs/msg/' in name]
+    assert {Path(name).name for name in shared} == held  # else it could write no results
     zipfile.ZipFile(wheel).extractall(tmp_path / 'site')
     found = subprocess.run(
         [sys.executable, '-c', 'import mv_slapse.codec.decoder as d, mv_slapse_kernels as k; '

@@ -57,7 +57,7 @@ def examine() -> list[Finding]:
     vectors = motion_vectors() if all(item.ok for item in (*libraries[:4], libraries[-1])) \
         else Finding('motion vectors', False, 'not tried', 'install the libraries above')
     extras = [replace(library(*names), needed=False, extra='mv_slapse batch') for names in EXTRAS]
-    return [python(), *libraries, vectors, *ros(), *extras]
+    return [python(), *libraries, definitions(), vectors, *ros(), *extras]
 
 
 def exit_code(findings: list[Finding]) -> int:
@@ -108,6 +108,16 @@ def kernels() -> Finding:
     except MissingKernels as error:
         return Finding(name, False, str(error.__cause__), error.cure)
     return Finding(name, True, binding.compiled.__file__)
+
+
+def definitions() -> Finding:
+    """Look for the message definitions, by which results are written as a bag."""
+    name = 'message definitions'
+    try:
+        from mv_slapse.storage.messages import definition_folder
+        return Finding(name, True, str(definition_folder()))
+    except Exception as error:  # of a library that is not there, too
+        return Finding(name, False, f'{type(error).__name__}: {error}', 'install mv_slapse anew')
 
 
 def numbers(version: str) -> tuple[int, ...]:
