@@ -28,6 +28,21 @@ def header(stamp: int, frame_id: str) -> Fields:
     return {'stamp': stamp_to_fields(stamp), 'frame_id': frame_id}
 
 
+def published(msg: Any) -> tuple[tuple[int, int], np.ndarray]:
+    """Return size [px] and intrinsics (3, 3) of a sensor_msgs/CameraInfo's pictures as published.
+
+    Binning and region of interest of a driver move and scale the pixels: full-resolution pixel u
+    is seen at (u - offset + 0.5) / binning - 0.5, pixels being centred at integers.
+    """
+    roi, K = msg.roi, check.numbers(msg.k, 'k', (3, 3))
+    binning = np.maximum([msg.binning_x, msg.binning_y], 1).astype(np.int64)
+    if np.any(binning > 1) or roi.x_offset or roi.y_offset:
+        K[:2, 2] = (K[:2, 2] - (roi.x_offset, roi.y_offset) + 0.5) / binning - 0.5
+        K[:2, :2] /= binning[:, None]
+    width, height = (roi.width or msg.width, roi.height or msg.height) // binning
+    return (int(width), int(height)), K
+
+
 def point_columns(record: Correspondences | Extraction) -> Fields:
     """Return the columns of blocks that both messages of a pair have."""
     columns = {'x_cur': record.x_cur[:, 0], 'y_cur': record.x_cur[:, 1],

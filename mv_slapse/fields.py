@@ -23,6 +23,7 @@ from mv_slapse.field_values import (
     POINTS,
     points,
     points_of,
+    published,
     quaternion,
     read_points,
     read_xyz,
@@ -68,8 +69,8 @@ def camera_to_fields(camera: Camera, stamp: int, frame_id: str) -> Fields:
 
 def camera_from_message(msg: Any, origin: str = 'camera_info') -> Camera:
     """Return the camera of a sensor_msgs/CameraInfo; an unusable one raises UnusableInput."""
-    return camera_from_calibration((int(msg.width), int(msg.height)), msg.k,
-                                   msg.distortion_model, msg.d, origin)
+    size, K = published(msg)
+    return check.camera(camera_from_calibration(size, K, msg.distortion_model, msg.d, origin))
 
 
 def correspondences_to_fields(record: Correspondences, frames: RosFrames) -> Fields:

@@ -8,6 +8,7 @@ from enum import IntEnum
 from typing import Any
 
 from mv_slapse.errors import UnusableInput
+from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import SegmentKind
 import numpy as np
 
@@ -21,6 +22,7 @@ MIN_INTERVAL, MAX_INTERVAL = 10**5, 3600 * 10**9  # [ns] between the key frames 
 FARTHEST = 1e9  # [m or map unit, per second] of places, speeds and lengths
 FAR_OUT = 1e6  # [px] from the picture, of where a vector may point
 UNIT = 1e-3  # by which a rotation may be none
+FOCAL = np.array([0.05, 1000.0])  # bounds of a focal length, in sides of the picture
 MOST_SHOWN = 60  # characters of a value in a message
 
 
@@ -132,6 +134,13 @@ def intrinsics(values: Any, field: str = 'k') -> np.ndarray:
     if min(K[0, 0], K[1, 1]) < UNIT or np.any(K[2] != (0, 0, 1)):
         refuse(field, K.ravel().tolist(), 'must be a camera matrix, its last row 0 0 1')
     return K
+
+
+def camera(made: Camera) -> Camera:
+    """Return the camera of a message whose pictures and focal lengths [px] a camera can have."""
+    low, high = FOCAL * max(size(made.width, made.height))
+    within(made.K[[0, 1], [0, 1]], 'focal length (k[0], k[4])', low, high)
+    return made
 
 
 def same_length(msg: Any, names: Iterable[str], most: int) -> int:

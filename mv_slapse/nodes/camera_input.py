@@ -4,9 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory, PackageNotFoundError
+from mv_slapse import fields
 from mv_slapse.errors import MvSlapseError, UsageError
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.nodes.conversions import camera_from_msg
 from mv_slapse.nodes.qos import LATCHED
 from mv_slapse.nodes.settings import CameraSettings
 from mv_slapse.nodes.shell import Shell
@@ -45,7 +45,7 @@ class CameraInput:
 
     def _on_message(self, msg: CameraInfo):
         try:
-            camera = camera_from_msg(msg, self._node.resolve_topic_name(TOPIC))
+            camera = fields.camera_from_message(msg, self._node.resolve_topic_name(TOPIC))
         except MvSlapseError as error:
             self._node.get_logger().error(str(error), throttle_duration_sec=5.0)
             self._node.health.leave('no_camera')

@@ -1,4 +1,4 @@
-"""Fields to messages, and messages of cameras to records.
+"""Fields to messages.
 
 Records and their fields are paired in ``mv_slapse.fields``, which bags use as well; here the
 fields enter the classes of rclpy. Long arrays go in as ``array.array``: a list or an ndarray
@@ -12,14 +12,9 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from mv_slapse import fields
-from mv_slapse import message_checks as check
-from mv_slapse.geometry.calibration import camera_from_calibration
-from mv_slapse.geometry.camera import Camera
 import numpy as np
-from sensor_msgs.msg import CameraInfo
 
 VARIANCE_MIN, VARIANCE_MAX = 1e-9, 1e6
-FOCAL = np.array([0.05, 1000.0])  # bounds of a focal length, in sides of the picture
 
 
 def to_message(message_type: type, values: dict[str, Any]) -> Any:
@@ -32,27 +27,6 @@ def to_message(message_type: type, values: dict[str, Any]) -> Any:
 def stamp_to_msg(stamp: int) -> Time:
     """Return the message of a stamp [ns]."""
     return to_message(Time, fields.stamp_to_fields(stamp))
-
-
-def camera_from_msg(msg: CameraInfo, topic: str = 'camera_info') -> Camera:
-    """Return the camera of a sensor_msgs/CameraInfo, for the pictures as they are published.
-
-    Binning and region of interest of a driver move and scale the pixels: full-resolution pixel u
-    is seen at (u - offset + 0.5) / binning - 0.5, pixels being centred at integers.
-    """
-    size = np.array([msg.roi.width or msg.width, msg.roi.height or msg.height], np.int64)
-    K = np.array(msg.k, float).reshape(3, 3)
-    binning = np.maximum([msg.binning_x, msg.binning_y], 1).astype(np.int64)
-    if np.any(binning > 1) or msg.roi.x_offset or msg.roi.y_offset:
-        offset = np.array([msg.roi.x_offset, msg.roi.y_offset])
-        K[:2, 2] = (K[:2, 2] - offset + 0.5) / binning - 0.5
-        K[:2, :2] /= binning[:, None]
-    width, height = (int(n) for n in size // binning)
-    camera = camera_from_calibration((width, height), K, msg.distortion_model, msg.d, topic)
-    check.size(width, height)
-    low, high = FOCAL * max(width, height)
-    check.within(camera.K[[0, 1], [0, 1]], 'focal length (k[0], k[4])', low, high)
-    return camera
 
 
 def bounded_covariance(covariance: np.ndarray) -> np.ndarray:

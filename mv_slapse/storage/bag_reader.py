@@ -135,13 +135,22 @@ class BagReader:
             yield video_messages.from_message(raw.type, msg)
 
     def camera(self, video_topic: str) -> Camera | None:
-        """Return the camera whose ``camera_info`` belongs to a video topic; None without one."""
+        """Return the camera whose ``camera_info`` belongs to a video topic; None without one.
+
+        It is that of the first message that holds one. Raises UnusableInput where none does.
+        """
         infos = [name for name, kind in self.topics.items() if kind == CAMERA_INFO]
         if not infos:
             return None
         best = max(infos, key=lambda name: len(os.path.commonprefix([name, video_topic])))
+        error = None
         for _, msg in self.messages([best]):
-            return fields.camera_from_message(msg, f'{self._path}, topic {best}')
+            try:
+                return fields.camera_from_message(msg, f'{self._path}, topic {best}')
+            except UnusableInput as refused:
+                error = error or refused
+        if error:
+            raise error
         return None
 
     def speeds(self, topic: str) -> list[Speed]:

@@ -1,8 +1,9 @@
 """A video, whatever holds it: file, stream, folder of pictures or bag."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from mv_slapse.codec.encoding.recoder import PictureDecoder, Recoder
@@ -32,8 +33,8 @@ class VideoInput:
         Width and height [px] where the container tells them.
     n_frames : int
         As the container tells it; 0 where it does not.
-    camera : Camera or None
-        The calibration that comes with the video.
+    find_camera : function
+        Looks for the calibration that comes with the video; called where it is asked for only.
     warning : str
         What is wrong with the input although it can be used, else empty.
     fps : float
@@ -45,10 +46,15 @@ class VideoInput:
     packets: Iterator[Packet]
     size: tuple[int, int] | None = None
     n_frames: int = 0
-    camera: Camera | None = None
+    find_camera: Callable[[], Camera | None] = lambda: None
     warning: str = ''
     fps: float = 0.0
     recoder: Recoder = field(default_factory=Recoder)
+
+    @property
+    def camera(self) -> Camera | None:
+        """The calibration that comes with the video; UnusableInput where it is none."""
+        return self.find_camera()
 
     @property
     def warnings(self) -> list[str]:
@@ -135,4 +141,4 @@ def _open_bag(name: str, topic: str | None, recoder: Recoder) -> VideoInput:
     video = bag.video_topic(topic)
     warning = f'{name} has no end; what is whole before the cut is used' if bag.is_cut else ''
     return VideoInput(through(recoder, bag.packets(video)), None, bag.counts.get(video, 0),
-                      bag.camera(video), warning, recoder=recoder)
+                      partial(bag.camera, video), warning, recoder=recoder)

@@ -4,8 +4,8 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mv_slapse_msgs')
 
 from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
+from mv_slapse.fields import camera_from_message  # noqa: E402
 from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402
-from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import (  # noqa: E402
     Correspondences,
@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 
 def test_a_file_gives_messages_on_every_topic(bench, tmp_path):
     write_video(tmp_path / 'clip.mp4', clips.pictures(), clips.FPS)
-    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    write_camera(tmp_path / 'camera.yaml', camera_from_message(clips.camera_info()))
     topics = {'correspondences': Correspondences, 'planes/observations': PlaneObservations,
               'planes/map': PlaneMap, 'obstacles': ObstacleArray}
     received = {topic: bench.listen(kind, topic, LATCHED if kind is PlaneMap else 100)

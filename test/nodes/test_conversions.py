@@ -98,7 +98,7 @@ def camera_info(**changes):
 
 
 def test_a_camera_is_read_from_its_message():
-    camera = conversions.camera_from_msg(camera_info())
+    camera = fields.camera_from_message(camera_info())
     assert (camera.width, camera.height) == (640, 480)
     np.testing.assert_array_equal(camera.K, [[500, 0, 320], [0, 510, 240], [0, 0, 1]])
     np.testing.assert_array_equal(camera.distortion, [0.1, -0.2, 0, 0, 0.05])
@@ -107,7 +107,7 @@ def test_a_camera_is_read_from_its_message():
 def test_binning_and_region_of_interest_move_the_intrinsics():
     info = camera_info(binning_x=2, binning_y=2)
     info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 40, 20, 400, 300
-    camera = conversions.camera_from_msg(info)
+    camera = fields.camera_from_message(info)
     assert (camera.width, camera.height) == (200, 150)
     # the ray of full-resolution pixel 41.5, between the first two binned columns 40..43
     u = (41.5 - 40 + 0.5) / 2 - 0.5
@@ -119,7 +119,7 @@ def test_an_uncalibrated_camera_is_refused_by_name():
     info = camera_info()
     info.k[:] = 0.0
     with pytest.raises(UnusableInput, match='front/camera_info.*not calibrated'):
-        conversions.camera_from_msg(info, 'front/camera_info')
+        fields.camera_from_message(info, 'front/camera_info')
 
 
 def test_covariances_are_neither_zero_nor_without_bound():

@@ -12,7 +12,7 @@ from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
 from mv_slapse.codec.encoding.recoder import Recoder  # noqa: E402
 from mv_slapse.codec.packet import Picture  # noqa: E402
 from mv_slapse.config import DecoderSettings  # noqa: E402
-from mv_slapse.nodes.conversions import camera_from_msg, stamp_to_msg, to_message  # noqa: E402
+from mv_slapse.nodes.conversions import stamp_to_msg, to_message  # noqa: E402
 from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse.video_messages import packet_to_fields  # noqa: E402
@@ -29,7 +29,8 @@ START = 5_000_000_000
 
 
 def expected_records(packets):
-    decoder = CorrespondenceDecoder(DecoderSettings(), camera_from_msg(clips.camera_info()))
+    camera = fields.camera_from_message(clips.camera_info())
+    decoder = CorrespondenceDecoder(DecoderSettings(), camera)
     recoder = Recoder()
     return [record for item in packets for packet in recoder.feed(item)
             for record in decoder.feed(packet)]
@@ -304,7 +305,7 @@ def test_a_video_that_starts_again_is_a_new_stream(bench):
 
 def test_a_file_is_decoded_to_its_end(bench, tmp_path):
     write_video(tmp_path / 'clip.mp4', clips.pictures(), clips.FPS)
-    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    write_camera(tmp_path / 'camera.yaml', fields.camera_from_message(clips.camera_info()))
     received = bench.listen(Correspondences, 'correspondences')
     node = bench.start(DecoderNode, source=str(tmp_path / 'clip.mp4'), source_rate=0.0,
                        camera_info_url=f'file://{tmp_path}/camera.yaml', stamp_origin='stream',
@@ -318,7 +319,7 @@ def test_a_file_is_decoded_to_its_end(bench, tmp_path):
 
 def test_a_file_gets_the_time_of_the_clock(bench, tmp_path):
     write_video(tmp_path / 'clip.mp4', clips.pictures(), clips.FPS)
-    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    write_camera(tmp_path / 'camera.yaml', fields.camera_from_message(clips.camera_info()))
     received = bench.listen(Correspondences, 'correspondences')
     begin = time.time()
     bench.start(DecoderNode, source=str(tmp_path / 'clip.mp4'), source_rate=2.0,

@@ -14,7 +14,7 @@ from mv_slapse import fields  # noqa: E402
 from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
 from mv_slapse.nodes import decoding, health, latency, numbering, qos, shell  # noqa: E402
 from mv_slapse.nodes.all_in_one import AllInOneNode  # noqa: E402
-from mv_slapse.nodes.conversions import camera_from_msg, to_message  # noqa: E402
+from mv_slapse.nodes.conversions import to_message  # noqa: E402
 from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
 from mv_slapse.nodes.obstacle_tracker import ObstacleTrackerNode  # noqa: E402
 from mv_slapse.nodes.placement import Placement  # noqa: E402
@@ -177,7 +177,7 @@ def test_pause(bench, node_type):
 @VIDEO_NODES
 def test_the_end_of_a_source(bench, node_type, tmp_path):
     write_video(tmp_path / 'clip.mp4', clips.pictures(), clips.FPS)
-    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    write_camera(tmp_path / 'camera.yaml', fields.camera_from_message(clips.camera_info()))
     node = bench.start(node_type, source=str(tmp_path / 'clip.mp4'), source_rate=0.0,
                        camera_info_url=str(tmp_path / 'camera.yaml'), tf_wait=0.0)
     reaches(bench, node, 'ended', 'start the node again')
@@ -186,7 +186,7 @@ def test_the_end_of_a_source(bench, node_type, tmp_path):
 @VIDEO_NODES
 def test_a_live_source_that_is_not_there(bench, node_type, tmp_path):
     write_video(tmp_path / 'clip.ts', clips.pictures(), clips.FPS)
-    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    write_camera(tmp_path / 'camera.yaml', fields.camera_from_message(clips.camera_info()))
     port = free_port()
     node = bench.start(node_type, source=f'tcp://127.0.0.1:{port}', tf_wait=0.0,
                        camera_info_url=str(tmp_path / 'camera.yaml'))

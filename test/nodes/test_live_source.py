@@ -15,7 +15,6 @@ import av  # noqa: E402
 from mv_slapse import fields  # noqa: E402
 from mv_slapse.codec import source  # noqa: E402
 from mv_slapse.codec.encoding.encoder import LOW_LATENCY, write_video  # noqa: E402
-from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402
 from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
 from mv_slapse.records import SegmentKind  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
@@ -31,7 +30,7 @@ CAMERAS = {'tcp': network.camera, 'rtsp': network.rtsp_camera}
 @pytest.fixture
 def stream(tmp_path) -> bytes:
     write_video(tmp_path / 'clip.ts', clips.pictures(), clips.FPS, LOW_LATENCY)
-    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    write_camera(tmp_path / 'camera.yaml', fields.camera_from_message(clips.camera_info()))
     return (tmp_path / 'clip.ts').read_bytes()
 
 

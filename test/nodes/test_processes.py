@@ -16,8 +16,8 @@ from conftest import ROOT  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 import endings  # noqa: E402
 from mv_slapse.codec.encoding.encoder import write_video  # noqa: E402
+from mv_slapse.fields import camera_from_message  # noqa: E402
 from mv_slapse.nodes import standby  # noqa: E402
-from mv_slapse.nodes.conversions import camera_from_msg  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse_msgs.msg import Correspondences  # noqa: E402
 from nodes import clips, fake_launch  # noqa: E402
@@ -245,7 +245,7 @@ def test_an_unknown_parameter_is_warned_about_with_the_nearest_name(bench):
 
 def test_what_the_launch_file_starts_runs(bench, tmp_path):
     write_video(tmp_path / 'clip.mp4', clips.pictures(), clips.FPS)
-    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    write_camera(tmp_path / 'camera.yaml', camera_from_message(clips.camera_info()))
     (tmp_path / 'slow.yaml').write_text('/**: {ros__parameters: {source_rate: 0.1}}')
     received = bench.listen(Correspondences, '/robot/correspondences')
     started = fake_launch.resolve(

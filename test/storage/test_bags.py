@@ -89,6 +89,35 @@ def test_the_nearest_calibration_is_taken(tmp_path):
     assert reader.camera('/right/image/ffmpeg').K[0, 0] == other.K[0, 0]
 
 
+def camera_info(**changes):
+    return {**fields.camera_to_fields(CAMERA, 0, 'eye'), **changes}
+
+
+def write_infos(path, infos):
+    with BagWriter(path) as writer:
+        for i, info in enumerate(infos):
+            writer.write('/camera/camera_info', 'sensor_msgs/msg/CameraInfo', info, i)
+        fill(writer)
+    return BagReader(path)
+
+
+def test_the_first_usable_calibration_is_taken(tmp_path):
+    none = camera_info(k=np.zeros(9))
+    reader = write_infos(tmp_path / 'a', [none, camera_info(width=0), camera_info()])
+    np.testing.assert_array_equal(reader.camera('/camera/image/ffmpeg').K, CAMERA.K)
+    reader = write_infos(tmp_path / 'b', [none, camera_info(width=0)])
+    with pytest.raises(UnusableInput, match='b, topic /camera/camera_info: .* not calibrated'):
+        reader.camera('/camera/image/ffmpeg')
+
+
+def test_a_binned_camera_is_that_of_the_pictures_as_published(tmp_path):
+    roi = {'x_offset': 4, 'y_offset': 8, 'width': 40, 'height': 32, 'do_rectify': False}
+    reader = write_infos(tmp_path / 'bag', [camera_info(binning_x=2, binning_y=2, roi=roi)])
+    camera = reader.camera('/camera/image/ffmpeg')
+    assert (camera.width, camera.height) == (20, 16)
+    np.testing.assert_array_equal(camera.K, [[25, 0, 13.75], [0, 25, 7.75], [0, 0, 1]])
+
+
 def test_log_times_never_go_back(bag):
     with AnyReader([bag]) as reader:
         times = [time for _, time, _ in reader.messages()]

@@ -2,8 +2,9 @@ from mv_slapse.codec.encoding.recoder import Recoder
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.codec.source import open_source
 from mv_slapse.errors import UnusableInput, UsageError
-from mv_slapse.fields import header
+from mv_slapse.fields import camera_to_fields, header
 from mv_slapse.storage.bag_writer import BagWriter
+from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.tools import inputs
 from mv_slapse.video_messages import FFMPEG_PACKET, IMAGE, packet_to_fields
 import numpy as np
@@ -46,6 +47,29 @@ def test_raw_pictures_come_out_of_a_bag(tmp_path):
     with inputs.open_input(str(tmp_path / 'bag')) as video:
         assert len(list(video.packets)) == 6
         assert (video.n_frames, video.camera, video.warning) == (6, None, '')
+
+
+@pytest.fixture
+def uncalibrated(clip, tmp_path):
+    """Return the clip as a bag whose driver knows no calibration."""
+    nothing = camera_to_fields(read_camera(clip.camera), 0, 'eye') | {
+        'width': 0, 'height': 0, 'k': np.zeros(9), 'd': np.zeros(0)}
+    with open_source(clip.video) as source, BagWriter(tmp_path / 'bag') as bag:
+        bag.write('/camera_info', 'sensor_msgs/msg/CameraInfo', nothing, 0)
+        for k, packet in enumerate(source.packets()):
+            bag.write('/video', FFMPEG_PACKET, packet_to_fields(packet, (480, 352), k, 'eye'),
+                      PERIOD * k)
+    return tmp_path / 'bag'
+
+
+def test_a_bag_that_is_not_calibrated_is_used_with_a_calibration(call, clip, uncalibrated):
+    out = uncalibrated.parent / 'out'
+    assert call('inspect', uncalibrated)[0] == 0
+    assert call('run', uncalibrated, '--camera', clip.camera, '-o', out, '--quiet',
+                '--no-report', '--max-frames', 9) == (0, '', '')
+    code, _, err = call('run', uncalibrated, '-o', out)
+    assert code == 3
+    assert 'bag, topic /camera_info: the picture size is 0x0' in err
 
 
 def test_a_cut_bag_comes_with_a_warning(clip, tmp_path):
