@@ -1,5 +1,6 @@
 """Calibrations as ROS writes them, checked once at the border."""
 
+from dataclasses import replace
 from typing import Any
 
 from mv_slapse.errors import UnusableInput
@@ -47,11 +48,25 @@ def _check_focal_lengths(K: np.ndarray, size: tuple[int, int], origin: str):
 
 
 def check_size(camera: Camera, width: int, height: int, origin: str):
-    """Raise UnusableInput unless the pictures of ``origin`` have the camera's size."""
-    if (width, height) != (camera.width, camera.height):
+    """Raise UnusableInput unless the pictures of ``origin`` have the camera's size.
+
+    They may lack its odd last column or row: encoders cut these off, and K stays.
+    """
+    if width not in _sides(camera.width) or height not in _sides(camera.height):
         raise UnusableInput(
             f'{origin}: the pictures are {width}x{height} but the camera was calibrated at '
             f'{camera.width}x{camera.height}; give the calibration of this stream')
+
+
+def fitted(camera: Camera, width: int, height: int, origin: str) -> Camera:
+    """Return the camera of pictures of this size, which ``check_size`` allows."""
+    check_size(camera, width, height, origin)
+    return replace(camera, width=width, height=height)
+
+
+def _sides(calibrated: int) -> tuple[int, int]:
+    """Return the widths, or heights, of pictures [px] that a calibration is of."""
+    return calibrated, calibrated // 2 * 2
 
 
 def _coefficients(lens: str, distortion: Any, origin: str) -> np.ndarray:

@@ -6,7 +6,7 @@ from pathlib import Path
 from mv_slapse import fields
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
-from mv_slapse.geometry.calibration import check_size
+from mv_slapse.geometry.calibration import fitted
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.ros_frames import Pose, RosFrames
 from mv_slapse.storage.bag_writer import BagWriter
@@ -50,7 +50,7 @@ def make_bag(video: str, camera: Camera, truth: Trajectory | None, output: str |
     """
     with open_input(str(video)) as source:
         if source.size:
-            check_size(camera, *source.size, str(video))
+            camera = fitted(camera, *source.size, str(video))
         first = next(source.packets, None)
         if first is None:
             raise UnusableInput(f'{video} has no pictures; was the recording finished?')

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
+from typing import Any
 
 from mv_slapse.codec.encoding.recoder import PictureDecoder, Recoder
 from mv_slapse.codec.packet import Packet, Picture
@@ -30,7 +32,7 @@ class VideoInput:
     packets : iterator of Packet
         In the order of decoding.
     size : (int, int) or None
-        Width and height [px] where the container tells them.
+        Width and height [px] as they are encoded here, else as the container tells them.
     n_frames : int
         As the container tells it; 0 where it does not.
     find_camera : function
@@ -82,12 +84,11 @@ def open_input(name: str, topic: str | None = None,
         return
     if picture_folder.is_folder(name):
         found = picture_folder.entries(name, encoder.rate if encoder else 0.0)
-        yield VideoInput(through(recoder, picture_folder.pictures(found)), n_frames=len(found),
-                         recoder=recoder)
+        yield _begun(picture_folder.pictures(found), recoder, n_frames=len(found))
         return
     with open_source(name) as source:
-        yield VideoInput(through(recoder, source.packets()), (source.width, source.height),
-                         source.n_frames, fps=source.fps, recoder=recoder)
+        yield _begun(source.packets(), recoder, size=(source.width, source.height),
+                     n_frames=source.n_frames, fps=source.fps)
 
 
 def pictures(path: str | Path) -> Iterator[np.ndarray]:
@@ -140,5 +141,13 @@ def _open_bag(name: str, topic: str | None, recoder: Recoder) -> VideoInput:
     bag = BagReader(name)
     video = bag.video_topic(topic)
     warning = f'{name} has no end; what is whole before the cut is used' if bag.is_cut else ''
-    return VideoInput(through(recoder, bag.packets(video)), None, bag.counts.get(video, 0),
-                      partial(bag.camera, video), warning, recoder=recoder)
+    return _begun(bag.packets(video), recoder, n_frames=bag.counts.get(video, 0),
+                  find_camera=partial(bag.camera, video), warning=warning)
+
+
+def _begun(items: Iterator[Packet | Picture], recoder: Recoder, **told: Any) -> VideoInput:
+    """Return the input of which the first packet is read: it shows the size that is encoded."""
+    packets = through(recoder, items)
+    first = list(islice(packets, 1))
+    video = VideoInput(chain(first, packets), recoder=recoder, **told)
+    return replace(video, size=recoder.size or video.size)

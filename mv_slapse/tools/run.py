@@ -16,7 +16,7 @@ from mv_slapse import heap
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.config import Settings
 from mv_slapse.errors import UnusableInput, UsageError
-from mv_slapse.geometry.calibration import check_size
+from mv_slapse.geometry.calibration import fitted
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.pipeline import Slapse, Step
 from mv_slapse.records import (
@@ -252,7 +252,7 @@ class _Session:
     def _check_size(self, pair: Correspondences):
         """Refuse pictures that the calibration is not of, from the first or a later one on."""
         if not self.summary.key_frames:
-            check_size(self._camera, pair.width, pair.height, self.summary.input)
+            self._camera = fitted(self._camera, pair.width, pair.height, self.summary.input)
         elif (pair.width, pair.height) != (self._camera.width, self._camera.height):
             raise UnusableInput(
                 f'{self.summary.input}: the pictures are {pair.width}x{pair.height} from '
@@ -295,9 +295,7 @@ def _camera(camera: Camera | None, source: VideoInput, name: str) -> Camera:
     if camera is None:
         raise UsageError(f'{name} brings no calibration along; give one with --camera '
                          'camera.yaml (a camera_info file)')
-    if source.size:
-        check_size(camera, *source.size, name)
-    return camera
+    return fitted(camera, *source.size, name) if source.size else camera
 
 
 def _checked(summary: Summary) -> Summary:

@@ -1,5 +1,5 @@
 from mv_slapse.errors import UnusableInput
-from mv_slapse.geometry.calibration import camera_from_calibration, check_size
+from mv_slapse.geometry.calibration import camera_from_calibration, check_size, fitted
 import numpy as np
 import pytest
 
@@ -43,3 +43,13 @@ def test_pictures_of_another_size_are_refused_naming_both_sizes():
     check_size(camera(), 640, 480, 'a.mp4')
     with pytest.raises(UnusableInput, match='a.mp4.*1280x720.*640x480'):
         check_size(camera(), 1280, 720, 'a.mp4')
+
+
+def test_an_odd_last_column_or_row_may_be_missing():
+    odd = camera(size=(1241, 375))
+    found = fitted(odd, 1240, 374, 'a.mp4')
+    assert (found.width, found.height) == (1240, 374)
+    np.testing.assert_array_equal(found.K, odd.K)
+    for size in ((1239, 375), (1241, 373), (1242, 376)):
+        with pytest.raises(UnusableInput, match='1241x375'):
+            fitted(odd, *size, 'a.mp4')

@@ -14,9 +14,10 @@ from mv_slapse.codec.packet import Picture  # noqa: E402
 from mv_slapse.config import DecoderSettings  # noqa: E402
 from mv_slapse.nodes.conversions import stamp_to_msg, to_message  # noqa: E402
 from mv_slapse.nodes.decoder import DecoderNode  # noqa: E402
+from mv_slapse.nodes.plane_extraction import PlaneExtractionNode  # noqa: E402
 from mv_slapse.storage.camera_info import write_camera  # noqa: E402
 from mv_slapse.video_messages import packet_to_fields  # noqa: E402
-from mv_slapse_msgs.msg import Correspondences  # noqa: E402
+from mv_slapse_msgs.msg import Correspondences, PlaneObservations  # noqa: E402
 from nodes import clips  # noqa: E402
 from nodes.bench import BEST_EFFORT, held_up, LATCHED, messages_of, value_of  # noqa: E402
 import numpy as np  # noqa: E402
@@ -123,6 +124,22 @@ def test_pictures_are_coded_here_and_their_vectors_read(bench, message_type, mak
                       - fields.correspondences_from_message(received[0]).x_cur, axis=0)
     pairs = (expected[0].stamp - expected[0].previous_stamp) / 1e8
     assert moved == pytest.approx([3.0 * pairs, 0.0], abs=0.3)
+
+
+def test_of_odd_pictures_the_last_column_and_row_are_left_out(bench):
+    received = bench.listen(PlaneObservations, 'planes/observations')
+    decoder, extraction = bench.start(DecoderNode), bench.start(PlaneExtractionNode)
+    info = clips.camera_info()
+    info.width, info.height = 191, 127
+    publish_camera(bench, info)
+    publisher = bench.advertise(Image, 'video')
+    for i, picture in enumerate(clips.pictures()):
+        msg = raw(np.ascontiguousarray(picture[:127, :191]))
+        msg.header.stamp = stamp_to_msg(START + i * 100_000_000)
+        publisher.publish(msg)
+    assert bench.spin(lambda: len(received) > 1)
+    assert (received[0].width, received[0].height) == (190, 126)
+    assert 'calibrated at' not in messages_of(decoder) + messages_of(extraction)
 
 
 def test_packets_wait_for_a_late_camera_info(bench):

@@ -1,13 +1,18 @@
+from dataclasses import replace
 import json
 
+import av
+import cv2
 from mv_slapse.codec.encoding.encoder import Encoding, write_video
 from mv_slapse.config import Settings
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.storage.bag_reader import BagReader
-from mv_slapse.storage.camera_info import read_camera
+from mv_slapse.storage.camera_info import read_camera, write_camera
 from mv_slapse.storage.tum import read_trajectory
 from mv_slapse.tools import run as tool
+from mv_slapse.tools.bag import make_bag
+from mv_slapse.tools.inputs import pictures
 from mv_slapse.tools.run import CpuClock
 from mv_slapse.tools.run_summary import lost_message, Summary
 import numpy as np
@@ -126,6 +131,44 @@ def test_the_clock_charges_time_to_the_stage_that_took_it():
     assert clock.charge(lambda n: sum(range(n)), 'filter')(300_000) > 0
     assert clock.seconds['filter'] > 0
     assert clock.seconds['decode'] == 0
+
+
+@pytest.fixture
+def odd(clip, tmp_path):
+    """Return a folder of pictures of odd size, and its camera."""
+    for i, image in enumerate(pictures(clip.video)):
+        cv2.imwrite(str(tmp_path / f'{i:03d}.png'), image[:351, :479])
+    write_camera(tmp_path / 'camera.yaml',
+                 replace(read_camera(clip.camera), width=479, height=351))
+    return tmp_path, tmp_path / 'camera.yaml'
+
+
+def test_pictures_of_odd_size_are_run_without_their_last_column_and_row(odd, tmp_path, call):
+    code, out, err = call('run', odd[0], '--camera', odd[1], '--set', 'encoder.rate=15',
+                          '--packets', '-o', tmp_path / 'a', '--json', '--no-report')
+    summary = json.loads(out)
+    assert (code, err, summary['poses']) == (0, '', N_FRAMES)
+    assert (summary['camera']['width'], summary['camera']['height']) == (478, 350)
+    assert summary['camera']['K'] == read_camera(odd[1]).K.tolist()
+    bag = tmp_path / 'a' / 'results.mcap'
+    assert BagReader(bag).camera('/video').width == 478
+    for camera in ([], ['--camera', odd[1]]):
+        assert call('run', bag, *camera, '-o', tmp_path / 'b', '--quiet', '--no-report') == (
+            0, '', '')
+
+
+def test_an_odd_file_that_is_encoded_again_is_run(odd, tmp_path):
+    images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(odd[0].glob('*.png'))]
+    with av.open(str(tmp_path / 'odd.avi'), 'w') as container:
+        stream = container.add_stream('mjpeg', rate=15)
+        stream.width, stream.height, stream.pix_fmt = 479, 351, 'yuvj420p'
+        for frame in (*(av.VideoFrame.from_ndarray(image, 'gray') for image in images), None):
+            container.mux(stream.encode(frame))
+    summary = tool.run(tmp_path / 'odd.avi', read_camera(odd[1]), Settings(), tmp_path / 'out')
+    assert summary.poses == N_FRAMES
+    make_bag(str(tmp_path / 'odd.avi'), read_camera(odd[1]), None, tmp_path / 'bag')
+    assert BagReader(tmp_path / 'bag').camera('/camera/image/ffmpeg').width == 478
+    assert tool.run(tmp_path / 'bag', None, Settings(), tmp_path / 'out').poses == N_FRAMES
 
 
 def test_results_with_packets_are_a_bag_that_gives_the_same_again(clip, tmp_path, call):

@@ -70,7 +70,8 @@ class ImageEncoder:
         """Open nothing until the first picture tells the size."""
         self._encoding = encoding or Encoding()
         self._context = None
-        self._size = (0, 0)
+        #: width and height of the coded pictures [px]; zero before the first
+        self.size = (0, 0)
         self._stamps: dict[int, int] = {}
         self._count = 0
 
@@ -83,11 +84,16 @@ class ImageEncoder:
         return self.feed_frame(_frame(image), stamp)
 
     def feed_frame(self, frame: av.VideoFrame, stamp: int) -> list[Packet]:
-        """Return the packets that a decoded picture completes; another size begins anew."""
+        """Return the packets that a decoded picture completes; another size begins anew.
+
+        An odd last row or column is cut off, the picture then being taken as grey.
+        """
+        if frame.width % 2 or frame.height % 2:
+            frame = _frame(frame.to_ndarray(format='gray'))
         size, before = (frame.width, frame.height), []
-        if size != self._size:
+        if size != self.size:
             before = self.flush()
-            self._size = size
+            self.size = size
             self._context = av.CodecContext.create(ENCODERS[self._encoding.codec], 'w')
             configure(self._context, self._encoding, *size, Fraction(25))
         self._stamps[self._count] = stamp
@@ -156,7 +162,6 @@ def _frame(image: np.ndarray) -> av.VideoFrame:
 
 
 def _numbered(frame: av.VideoFrame, number: int, time_base: Fraction) -> av.VideoFrame:
-    picture = frame.reformat(width=frame.width // 2 * 2, height=frame.height // 2 * 2,
-                             format='yuv420p')
+    picture = frame.reformat(format='yuv420p')
     picture.pts, picture.time_base, picture.pict_type = number, time_base, 0
     return picture

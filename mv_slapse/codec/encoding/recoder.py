@@ -83,6 +83,11 @@ class Recoder:
         """FFmpeg's name of the codec that is encoded again; empty where packets pass as is."""
         return self._decoder.codec
 
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height of the pictures encoded here [px], both even; None where none are."""
+        return self._encoder.size if all(self._encoder.size) else None
+
     def feed(self, item: Packet | Picture) -> list[Packet]:
         """Return the packets that a picture, or a packet, completes.
 

@@ -1,5 +1,5 @@
 from mv_slapse.codec.decoder import CorrespondenceDecoder
-from mv_slapse.codec.encoding.recoder import Recoder
+from mv_slapse.codec.encoding.recoder import PictureDecoder, Recoder
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.config import DecoderSettings, EncoderSettings
 from mv_slapse.errors import UnusableInput, UsageError
@@ -72,6 +72,19 @@ def test_quality_and_b_frames_are_those_asked_for(rng):
     assert size[2] > 1.5 * size[3]
     stamps = [packet.stamp for packet in recoded(items, EncoderSettings(b_frames=3))]
     assert stamps == [0, 4, 1, 2, 3, 8, 5, 6, 7]
+
+
+@pytest.mark.parametrize('codec', ['vp9', 'mjpeg'])
+def test_of_odd_pictures_the_last_column_and_row_are_cut_off(rng, codec):
+    image = pictures.texture(rng)[:191, :257]
+    recoder, decoder = Recoder(), PictureDecoder()
+    assert recoder.size is None
+    packets = [packet for item in other_codecs.coded([image] * 2, codec, PERIOD)
+               for packet in recoder.feed(item)]
+    assert recoder.size == (256, 190)
+    frame, _ = [found for packet in packets for found in decoder.feed(packet)][0]
+    error = np.abs(frame.to_ndarray(format='gray') - image[:190, :256].astype(float))
+    assert error[-32:, -32:].mean() < 1.5 * error[:32, :32].mean()  # nothing is scaled
 
 
 def test_after_damage_only_whole_pictures_are_encoded(rng):
