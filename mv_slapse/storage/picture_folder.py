@@ -2,13 +2,15 @@
 
 Known are KITTI odometry (``image_0/000000.png``, ``times.txt`` beside it), KITTI raw
 (``image_00/data``, ``timestamps.txt``), EuRoC (``mav0/cam0/data.csv``), TUM RGB-D (``rgb.txt``),
-and any folder of pictures, in the order of their names, which then need a rate.
+and any folder of pictures, in the order of their names, numbers by their value, which then need a
+rate.
 """
 
 from collections.abc import Iterator
 import csv
 from datetime import datetime, UTC
 from fnmatch import fnmatch
+import os
 from pathlib import Path
 import re
 from typing import NamedTuple
@@ -26,6 +28,7 @@ SUFFIXES = ('.png', '.jpg', '.jpeg', '.pgm', '.ppm', '.bmp', '.tif', '.tiff', '.
 CAMERAS = ('mav0/cam0', 'image_0', 'image_00', 'image_2', 'image_02', 'cam0')
 PICTURES = ('data', 'rgb')
 NUMBER = re.compile(r'%0?\d*d')
+DIGITS = re.compile('([0-9]+)')
 
 
 class Entry(NamedTuple):
@@ -36,8 +39,11 @@ class Entry(NamedTuple):
 
 
 def is_folder(name: str) -> bool:
-    """Return whether an input names a folder of pictures, or a pattern such as ``a/%06d.png``."""
-    return '://' not in name and (bool(NUMBER.search(name)) or Path(name).is_dir())
+    """Return whether an input names a folder of pictures, or a pattern such as ``a/%06d.png``.
+
+    What exists under such a name is no pattern.
+    """
+    return '://' not in name and (os.path.isdir(name) or _is_pattern(name))
 
 
 def entries(name: str, rate: float = 0.0) -> list[Entry]:
@@ -65,10 +71,12 @@ def entries(name: str, rate: float = 0.0) -> list[Entry]:
 
 
 def _entries(name: str, rate: float) -> list[Entry]:
-    folder = _camera(Path(NUMBER.sub('*', name)).parent if NUMBER.search(name) else Path(name))
+    path, pattern = Path(name), '*'
+    if _is_pattern(name):
+        path, pattern = path.parent, NUMBER.sub('*', path.name)
+    folder = _camera(path)
     listed = _listed(folder)
     if listed is None:
-        pattern = Path(NUMBER.sub('*', name)).name if NUMBER.search(name) else '*'
         listed = _by_name(folder, pattern, rate)
     return listed
 
@@ -94,6 +102,16 @@ def pictures(found: list[Entry]) -> Iterator[Picture]:
         yield Picture(image, stamp)
 
 
+def _is_pattern(name: str) -> bool:
+    return bool(NUMBER.search(Path(name).name)) and not os.path.exists(name)
+
+
+def _in_order(path: Path) -> tuple[list[str | int], str]:
+    """Return a key by which 2 comes before 10, and 02 beside 2."""
+    parts = DIGITS.split(path.stem)
+    return [int(part) if i % 2 else part for i, part in enumerate(parts)], path.name
+
+
 def _camera(folder: Path) -> Path:
     """Return the folder of one camera in a data set's folder."""
     return next((folder / name for name in CAMERAS if (folder / name).is_dir()), folder)
@@ -116,8 +134,8 @@ def _listed(folder: Path) -> list[Entry] | None:
 
 def _by_name(folder: Path, pattern: str, rate: float) -> list[Entry]:
     inner = next((folder / name for name in PICTURES if (folder / name).is_dir()), folder)
-    paths = sorted(path for path in inner.iterdir() if path.suffix.lower() in SUFFIXES
-                   and fnmatch(path.name, pattern)) if inner.is_dir() else []
+    paths = sorted((path for path in inner.iterdir() if path.suffix.lower() in SUFFIXES
+                    and fnmatch(path.name, pattern)), key=_in_order) if inner.is_dir() else []
     stamps = _times([inner, folder, folder.parent])
     if stamps is None:
         if paths and rate <= 0:

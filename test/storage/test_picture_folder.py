@@ -64,6 +64,24 @@ def test_pictures_without_times_need_a_rate(tmp_path):
         *map(Entry, paths[:3], [0, 250_000_000, 500_000_000])]
 
 
+@pytest.mark.parametrize('names', [
+    [f'{i}.png' for i in range(12)], [f'left{i}_0.png' for i in (8, 9, 10, 100)],
+    ['000009.png', '000010.png', '000100.png'], ['a.png', 'a1.png', 'a02.png', 'b.png']])
+def test_numbers_in_names_count_by_their_value(tmp_path, names):
+    paths = store(tmp_path, names)
+    assert [path for path, _ in entries(str(tmp_path), 1.0)] == paths
+
+
+def test_what_exists_is_no_pattern(tmp_path):
+    video, folder = tmp_path / 'my%20drive.mp4', tmp_path / 'a%20d'
+    video.touch()
+    paths = store(folder, ['1.png', '2.png'])
+    assert not picture_folder.is_folder(str(video))
+    for name in (folder, folder / '%d.png'):
+        assert picture_folder.is_folder(str(name))
+        assert [path for path, _ in entries(str(name), 1.0)] == paths
+
+
 def test_pictures_are_read_in_grey(tmp_path):
     store(tmp_path, ['1.png', '2.png', '3.bmp'])
     images = [picture.image for picture in picture_folder.pictures(entries(str(tmp_path), 1.0))]
