@@ -27,10 +27,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     if '_ARGCOMPLETE' in os.environ:  # the shell asks what may follow, and nothing else is done
         import argcomplete
         argcomplete.autocomplete(made)
-    args = made.parse_args(arguments)
+    args = _parsed(made, arguments)
     args.command_line = shlex.join(['mv_slapse', *arguments])
     try:
-        return args.function(args)
+        code = args.function(args)
+        if args.content is not None:
+            print(json.dumps(plain(args.content)))
+        return code
     except MvSlapseError as error:
         return _fail(args, str(error), error.exit_code)
     except KeyboardInterrupt:
@@ -43,6 +46,17 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         return _fail(args, f'this is a fault of mv_slapse: {type(error).__name__}: {error}; run '
                      'again with --debug and report what it prints', FAULT)
+
+
+def _parsed(made: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
+    """Return what the arguments say; ``content`` is the object to print at the end, if any."""
+    try:
+        return made.parse_args(arguments, argparse.Namespace(content=None))
+    except SystemExit as end:
+        if end.code and '--json' in arguments:
+            print(json.dumps({'error': 'wrong usage, as standard error says',
+                              'exit_code': end.code}))
+        raise
 
 
 def parser() -> argparse.ArgumentParser:
@@ -221,6 +235,9 @@ def _run(args: argparse.Namespace) -> int:
     from mv_slapse.tools.progress import progress_bar
     give_back_large_blocks()
     settings = _settings(args)
+    if args.overlay:
+        from mv_slapse.tools import overlay
+        overlay.check(args.overlay, args.input)
     camera = read_camera(args.camera) if args.camera else None
     speeds = read_speeds(args.speed, args.input) if args.speed else []
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C: files closed
@@ -234,7 +251,6 @@ def _run(args: argparse.Namespace) -> int:
         from mv_slapse.tools import run_report
         run_report.write(args.output, summary.to_dict(), history)
     if args.overlay and not summary.interrupted:
-        from mv_slapse.tools import overlay
         overlay.write(args.overlay, args.input, args.output, args.topic, settings.encoder)
     if summary.interrupted:
         return INTERRUPTED
@@ -306,7 +322,7 @@ def _settings(args: argparse.Namespace) -> Any:
 
 def _print(args: argparse.Namespace, content: dict[str, Any], text: str):
     if args.json:
-        print(json.dumps(plain(content)))
+        args.content = content  # printed at the end: what follows may fail
     elif not getattr(args, 'quiet', False):
         print(text)
 

@@ -1,6 +1,7 @@
 """A video of a run: coloured blocks, obstacles' boxes with id, speed and time to contact."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -8,14 +9,40 @@ from mv_slapse import drawing
 from mv_slapse.codec.encoding.encoder import Encoding, write_video
 from mv_slapse.codec.encoding.recoder import PictureDecoder
 from mv_slapse.config import EncoderSettings
-from mv_slapse.errors import UsageError
+from mv_slapse.errors import UnusableOutput, UsageError
 from mv_slapse.evaluation import detection
-from mv_slapse.storage.whole_files import part_of, put_in_place
+from mv_slapse.storage.whole_files import PART, part_of, put_in_place, unusable
 from mv_slapse.tools.eval import read_results, Results
 from mv_slapse.tools.inputs import open_input, through
 import numpy as np
 
 CODED = Encoding('h264', 0, 30, {'crf': '23', 'preset': 'veryfast'})
+
+
+def check(path: str | Path, name: str):
+    """Refuse before a run what ``write`` could not do after it; the folder of the video is made.
+
+    Raises
+    ------
+    UsageError
+        Where the input is a stream, which cannot be read twice, or the video itself; where no
+        video can be written under this name, which one of two pictures shows.
+    """
+    if '://' in name or Path(name).is_fifo() or Path(name).is_char_device():
+        raise UsageError(f'--overlay reads the input twice, which {name} does not allow; record '
+                         'it first')
+    path = Path(path)
+    try:
+        if path.is_dir() or path.resolve() == Path(name).resolve():
+            raise UsageError(f'--overlay {path} is a directory or the input itself; name another '
+                             'video to write, such as overlay.mp4')
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _growing(path) as part:
+            write_video(part, [np.zeros((16, 16), np.uint8)] * 2, 25.0, CODED)
+    except (OSError, UnusableOutput) as error:
+        reason = error.__cause__ or error
+        raise UsageError(f'--overlay {path} cannot be written: {reason}; name a video such as '
+                         'overlay.mp4, in a folder that may be written') from None
 
 
 def write(path: str | Path, name: str, results: str | Path, topic: str | None = None,
@@ -33,23 +60,34 @@ def write(path: str | Path, name: str, results: str | Path, topic: str | None = 
 
     Raises
     ------
-    UsageError
-        Where the input is a stream, which cannot be read twice.
     UnusableInput
-        Where it, or the results, cannot be read.
+        Where the input, or the results, cannot be read.
+    UnusableOutput
+        Where the video cannot be written.
     """
-    if '://' in name or Path(name).is_fifo() or Path(name).is_char_device():
-        raise UsageError(f'--overlay reads the input twice, which {name} does not allow; record '
-                         'it first')
     path, found = Path(path), read_results(results)
-    part = part_of(path).with_suffix('.part' + path.suffix)
     count = [0]
-    with open_input(name, topic, encoder) as source:
-        fps = found.summary.get('fps') or 25.0
-        write_video(part, _drawn(source.packets, found, count), fps, CODED)
-    part.replace(part_of(path))
-    put_in_place(path)
+    with _growing(path) as part:
+        with open_input(name, topic, encoder) as source:
+            fps = found.summary.get('fps') or 25.0
+            write_video(part, _drawn(source.packets, found, count), fps, CODED)
+        try:
+            part.replace(part_of(path))
+            put_in_place(path)
+        except OSError as error:
+            raise unusable(path, error) from error
     return count[0]
+
+
+@contextmanager
+def _growing(path: Path) -> Iterator[Path]:
+    """Give where a video grows, with a suffix that FFmpeg knows; what is left there goes."""
+    part = part_of(path).with_suffix(PART + path.suffix)
+    try:
+        yield part
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def _drawn(packets: Any, results: Results, count: list[int]) -> Iterator[np.ndarray]:

@@ -176,6 +176,20 @@ def test_an_error_is_an_object_where_one_is_asked_for(call, tmp_path):
     assert json.loads(out) == {'error': err.split(': ', 1)[1].strip(), 'exit_code': 3}
 
 
+def test_one_object_is_printed_where_a_plot_has_no_truth(call, clip, tmp_path):
+    (tmp_path / 'boxes.csv').write_text('frame,x,y,width,height\n')
+    code, out, _ = call('eval', clip.out, '--boxes', tmp_path / 'boxes.csv', '--json',
+                        '--plot', tmp_path / 'a.png')
+    assert code == 2
+    assert '--plot needs a true trajectory' in json.loads(out)['error']
+
+
+def test_wrong_usage_is_an_object_where_one_is_asked_for(capsys):
+    with pytest.raises(SystemExit):
+        command_line.main(['run', '--json'])
+    assert json.loads(capsys.readouterr().out)['exit_code'] == 2
+
+
 def test_undefined_numbers_are_null_in_json(call, clip, monkeypatch):
     from mv_slapse.tools import eval as evaluation
     monkeypatch.setattr(evaluation, 'evaluate', lambda *_: {

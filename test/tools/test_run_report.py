@@ -1,4 +1,5 @@
 from html.parser import HTMLParser
+import json
 import re
 import shutil
 import subprocess
@@ -93,9 +94,42 @@ def test_an_overlay_shows_every_picture_up_to_the_last_key_frame(folder, clip):
     assert sorted(path.name for path in folder.glob('*part*')) == []
 
 
-def test_a_stream_cannot_be_read_twice(clip, tmp_path, capsys):
-    with pytest.raises(overlay.UsageError, match='record it first'):
-        overlay.write(tmp_path / 'a.mp4', 'rtsp://camera/1', tmp_path)
+@pytest.mark.parametrize(('path', 'name', 'said'), [
+    ('a.mp4', 'rtsp://camera/1', 'record it first'), ('a.txt', 'v.mp4', 'output format'),
+    ('shown', 'v.mp4', 'output format'), ('a.webm', 'v.mp4', 'does not support'),
+    ('', 'v.mp4', 'is a directory'), ('v.mp4', 'v.mp4', 'the input itself'),
+    ('v.mp4/a.mp4', 'v.mp4', 'exists'), ('x' * 250 + '.mp4', 'v.mp4', 'too long')])
+def test_an_overlay_that_cannot_be_is_refused_before_the_run(tmp_path, path, name, said):
+    (tmp_path / 'v.mp4').write_text('a video')
+    given = name if '://' in name else str(tmp_path / name)
+    with pytest.raises(overlay.UsageError, match=f'--overlay .*{said}'):
+        overlay.check(tmp_path / path, given)
+    assert [found.name for found in tmp_path.iterdir()] == ['v.mp4']
+    assert (tmp_path / 'v.mp4').read_text() == 'a video'
+
+
+def test_the_folder_of_an_overlay_is_made(tmp_path):
+    overlay.check(tmp_path / 'new' / 'a.mp4', str(tmp_path / 'v.mp4'))
+    assert list(tmp_path.rglob('*')) == [tmp_path / 'new']
+
+
+def test_a_wrong_overlay_costs_no_run(call, clip, tmp_path):
+    code, out, err = call('run', clip.video, '--camera', clip.camera, '-o', tmp_path / 'out',
+                          '--overlay', tmp_path / 'a.txt', '--json')
+    assert code == 2
+    assert 'a fault of mv_slapse' not in err
+    assert json.loads(out)['exit_code'] == 2
+    assert not (tmp_path / 'out').exists()
+
+
+def test_one_object_is_printed_where_the_overlay_fails(call, clip, tmp_path, monkeypatch):
+    monkeypatch.setattr(overlay, 'check', lambda *_: None)
+    code, out, err = call('run', clip.video, '--camera', clip.camera, '-o', tmp_path / 'out',
+                          '--overlay', tmp_path / 'a.txt', '--json', '--max-frames', 9)
+    assert code == 3
+    assert json.loads(out) == {'error': err.split(': ', 1)[1].strip(), 'exit_code': 3}
+    assert 'a.txt' in err
+    assert (tmp_path / 'out' / 'summary.json').exists()
 
 
 def test_the_version_is_told(capsys):

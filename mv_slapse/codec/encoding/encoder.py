@@ -5,6 +5,7 @@ rather than for few bits: one reference, high quality, wide search.
 """
 
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -12,7 +13,7 @@ from pathlib import Path
 import av
 from mv_slapse.codec.packet import Packet
 from mv_slapse.config import EncoderSettings
-from mv_slapse.errors import UsageError
+from mv_slapse.errors import UnusableOutput, UsageError
 import numpy as np
 
 # With qscale set and no quality given FFmpeg searches at a rate multiplier of zero: vectors then
@@ -132,17 +133,41 @@ def encode(images: Iterable[np.ndarray], fps: float,
 
 def write_video(path: str | Path, images: Iterable[np.ndarray], fps: float,
                 encoding: Encoding | None = None):
-    """Write pictures to a video file; its suffix (.mp4, .mpg, .mkv) chooses the container."""
+    """Write pictures to a video file; its suffix (.mp4, .mpg, .mkv) chooses the container.
+
+    Raises
+    ------
+    UnusableOutput
+        Where FFmpeg does not know the suffix, or the file cannot be written.
+    """
     encoding = encoding or Encoding()
     rate = Fraction(fps).limit_denominator(1001)
-    with av.open(str(path), 'w') as container:
-        stream = container.add_stream(ENCODERS[encoding.codec], rate=rate)
+    with _writing(path):
+        container = av.open(str(path), 'w')
+    try:
+        with _writing(path):
+            stream = container.add_stream(ENCODERS[encoding.codec], rate=rate)
         for i, image in enumerate(images):
-            if not i:
-                height, width = image.shape[:2]
-                configure(stream.codec_context, encoding, width, height, rate)
-            container.mux(stream.encode(_numbered(_frame(image), i, 1 / rate)))
-        container.mux(stream.encode(None))
+            with _writing(path):
+                if not i:
+                    height, width = image.shape[:2]
+                    configure(stream.codec_context, encoding, width, height, rate)
+                container.mux(stream.encode(_numbered(_frame(image), i, 1 / rate)))
+        with _writing(path):
+            container.mux(stream.encode(None))
+    finally:
+        with _writing(path):
+            container.close()
+
+
+@contextmanager
+def _writing(path: str | Path) -> Iterator[None]:
+    """Give what FFmpeg and the disk refuse as one kind of error."""
+    try:
+        yield
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        raise UnusableOutput(f'{path} cannot be written: {getattr(error, "strerror", "") or error}'
+                             '; free the disk, or choose another place or suffix') from error
 
 
 def leave_out(source: str | Path, path: str | Path, lost: range):

@@ -6,7 +6,7 @@ from mv_slapse.codec.encoding.encoder import (
     write_video,
 )
 from mv_slapse.codec.source import open_source
-from mv_slapse.errors import UsageError
+from mv_slapse.errors import UnusableOutput, UsageError
 import numpy as np
 import pictures
 import pytest
@@ -49,6 +49,22 @@ def test_a_written_file_holds_all_pictures_at_their_times(rng, tmp_path, name, e
         assert source.fps == pytest.approx(20, rel=1e-3)
         stamps = sorted(packet.stamp for packet in source.packets())
     np.testing.assert_allclose(stamps, np.arange(14) * 50_000_000, atol=1_000_000)
+
+
+@pytest.mark.parametrize('name', ['no/a.mp4', 'a.txt', 'a', 'a.webm', 'full.mp4'])
+def test_a_video_that_cannot_be_written_is_one_kind_of_error(tmp_path, name):
+    (tmp_path / 'full.mp4').symlink_to('/dev/full')
+    with pytest.raises(UnusableOutput, match=f'{name} cannot be written: '):
+        write_video(tmp_path / name, np.zeros((3, 64, 64), np.uint8), 20, LOW_LATENCY)
+
+
+def test_what_the_pictures_raise_is_no_fault_of_the_file(tmp_path):
+    def broken():
+        yield np.zeros((16, 16), np.uint8)
+        raise ValueError('no picture')
+
+    with pytest.raises(ValueError, match='no picture'):
+        write_video(tmp_path / 'a.mp4', broken(), 20)
 
 
 def test_an_unknown_codec_is_refused():
