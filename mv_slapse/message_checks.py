@@ -100,7 +100,7 @@ def numbers(values: Any, field: str, shape: tuple[int, ...],
         refuse(f'length of {field}', found.size, f'must be {int(np.prod(shape))}')
     if not np.all(np.abs(found) <= bound):
         at = int(np.argmin(np.abs(found) <= bound))
-        refuse(f'{field}[{at}]', found[at], f'must be finite and within ±{bound:.3g}')
+        refuse(f'{field}[{at}]', found[at].item(), f'must be finite and within ±{bound:.3g}')
     return found.reshape(shape)
 
 

@@ -1,9 +1,11 @@
 """Video and calibration out of bags: rosbag2 folders, bare .mcap and .db3 files, cut ones too."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from functools import partial
 import os
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import breakup_chunk, StreamReader
@@ -21,6 +23,8 @@ ODOMETRY = 'nav_msgs/msg/Odometry'
 SUFFIXES = ('.mcap', '.db3', '.bag')
 MAGIC = b'\x89MCAP0\r\n'
 
+Made = TypeVar('Made')
+
 
 class Raw(NamedTuple):
     """A serialised message of a bag; ``stamp`` is the log's [ns]."""
@@ -29,6 +33,18 @@ class Raw(NamedTuple):
     type: str
     stamp: int
     data: bytes
+
+
+@dataclass
+class _Skipped:
+    """How many messages of a topic cannot be used, and why the first cannot."""
+
+    count: int = 0
+    reason: str = ''
+
+    def add(self, error: UnusableInput):
+        """Count one more."""
+        self.count, self.reason = self.count + 1, self.reason or str(error)
 
 
 def is_bag(path: str | Path) -> bool:
@@ -67,6 +83,7 @@ class BagReader:
             raise UnusableInput(f'{path} is a ROS 1 bag; convert it with: rosbags-convert '
                                 f'--src {path} --dst {self._path.stem}')
         self.is_cut = False
+        self._skipped: dict[str, _Skipped] = {}
         self.counts: dict[str, int] = {}
         try:
             connections = _connections(self._path)
@@ -84,10 +101,39 @@ class BagReader:
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[Raw, Any]]:
         """Yield the messages of some topics with their serialised form, in the log's order."""
+        for raw in self._raw(topics):
+            yield raw, self._message(raw)
+
+    @property
+    def skipped(self) -> list[str]:
+        """What is to be said of messages that were left out, a text for each topic read so far."""
+        return [f'topic {topic}: {skipped.count} of its messages cannot be used and are left out; '
+                f'of the first: {skipped.reason}' for topic, skipped in self._skipped.items()]
+
+    def _raw(self, topics: Collection[str]) -> Iterator[Raw]:
         read = _salvage if self.is_cut else _whole
         for raw in self._guarded(read(self._path, topics)):
             if raw.topic in topics:
-                yield raw, self._message(raw)
+                yield raw
+
+    def _usable(self, topic: str, make: Callable[[Any], Made]) -> Iterator[Made]:
+        """Yield what is made of the messages of a topic; those that cannot be used are counted.
+
+        Raises UnusableInput where that is all of them.
+        """
+        skipped, found = _Skipped(), False
+        for raw in self._raw([topic]):
+            try:
+                made = make(self._message(raw))
+            except UnusableInput as error:
+                skipped.add(error)
+                self._skipped[topic] = skipped
+                continue
+            found = True
+            yield made
+        if skipped.count and not found:
+            raise UnusableInput(f'{self._path}: none of the {skipped.count} messages of topic '
+                                f'{topic} can be used; of the first: {skipped.reason}')
 
     def _message(self, raw: Raw) -> Any:
         if raw.type not in messages.typestore().fielddefs:
@@ -130,9 +176,12 @@ class BagReader:
         return videos[0]
 
     def packets(self, topic: str) -> Iterator[Packet | Picture]:
-        """Yield the coded packets, or the pictures, of a video topic."""
-        for raw, msg in self.messages([topic]):
-            yield video_messages.from_message(raw.type, msg)
+        """Yield the coded packets, or the pictures, of a video topic.
+
+        Messages that cannot be used are left out, see ``skipped``. Raises UnusableInput where
+        those are all, or the bag is damaged.
+        """
+        yield from self._usable(topic, partial(video_messages.from_message, self.topics[topic]))
 
     def camera(self, video_topic: str) -> Camera | None:
         """Return the camera whose ``camera_info`` belongs to a video topic; None without one.
@@ -143,30 +192,26 @@ class BagReader:
         if not infos:
             return None
         best = max(infos, key=lambda name: len(os.path.commonprefix([name, video_topic])))
-        error = None
-        for _, msg in self.messages([best]):
-            try:
-                return fields.camera_from_message(msg, f'{self._path}, topic {best}')
-            except UnusableInput as refused:
-                error = error or refused
-        if error:
-            raise error
-        return None
+        return next(self._usable(best, fields.camera_from_message), None)
 
     def speeds(self, topic: str) -> list[Speed]:
         """Return the speeds of a topic with the odometry of wheels.
+
+        Messages that cannot be used are left out, see ``skipped``.
 
         Raises
         ------
         UsageError
             Where there is no such topic, or one of another type; lists those there are.
+        UnusableInput
+            Where no message can be used, or the bag is damaged.
         """
         name = topic if topic.startswith('/') else '/' + topic
         if self.topics.get(name) != ODOMETRY:
             found = sorted(name for name, kind in self.topics.items() if kind == ODOMETRY)
             raise UsageError(f'{self._path} has no topic {name} of type {ODOMETRY}; topics of '
                              f'that type here: {", ".join(found) or "none"}')
-        return [fields.speed_from_message(msg) for _, msg in self.messages([name])]
+        return list(self._usable(name, fields.speed_from_message))
 
     def _is_video(self, name: str, kind: str) -> bool:
         return kind in video_messages.VIDEO_TYPES

@@ -39,6 +39,8 @@ class VideoInput:
         Looks for the calibration that comes with the video; called where it is asked for only.
     warning : str
         What is wrong with the input although it can be used, else empty.
+    skipped : function
+        Tells what has been left out so far, a text for each topic.
     fps : float
         As the container tells it [1/s]; 0 where it does not.
     recoder : Recoder
@@ -50,6 +52,7 @@ class VideoInput:
     n_frames: int = 0
     find_camera: Callable[[], Camera | None] = lambda: None
     warning: str = ''
+    skipped: Callable[[], list[str]] = list
     fps: float = 0.0
     recoder: Recoder = field(default_factory=Recoder)
 
@@ -61,7 +64,7 @@ class VideoInput:
     @property
     def warnings(self) -> list[str]:
         """What is to be said of the input, as far as it has been read."""
-        said = [self.warning] if self.warning else []
+        said = [self.warning, *self.skipped()] if self.warning else self.skipped()
         codec = self.recoder.recoded
         return said + [f'{codec}: {RECODED}'] if codec else said
 
@@ -109,25 +112,29 @@ def is_from_bag(name: str, topic: str | None = None) -> bool:
     return found
 
 
-def read_speeds(given: str, name: str) -> list[Speed]:
+def read_speeds(given: str, name: str) -> tuple[list[Speed], list[str]]:
     """Return the speeds of a table (CSV), or of an odometry topic of the bag ``name``.
+
+    The second are texts of what was left out.
 
     Raises
     ------
     UnusableInput, UsageError
         Where there is neither, or no speed in it.
     """
+    skipped: list[str] = []
     if Path(given).is_file():
         speeds = tables.read_speeds(given)
     elif is_from_bag(name):
-        speeds = BagReader(name).speeds(given)
+        bag = BagReader(name)
+        speeds, skipped = bag.speeds(given), bag.skipped
     else:
         raise UsageError(f'--speed {given}: no such file; give a table with the columns '
                          f'{tables.SPEEDS_HEADER}, or, where the input is a bag, a topic of it')
     if not speeds:
         raise UnusableInput(f'--speed {given} holds no speed; leave the option out, or give one '
                             'that does')
-    return speeds
+    return speeds, skipped
 
 
 def through(stage: Recoder | PictureDecoder, items: Iterator[Packet | Picture]) -> Iterator:
@@ -142,7 +149,8 @@ def _open_bag(name: str, topic: str | None, recoder: Recoder) -> VideoInput:
     video = bag.video_topic(topic)
     warning = f'{name} has no end; what is whole before the cut is used' if bag.is_cut else ''
     return _begun(bag.packets(video), recoder, n_frames=bag.counts.get(video, 0),
-                  find_camera=partial(bag.camera, video), warning=warning)
+                  find_camera=partial(bag.camera, video), warning=warning,
+                  skipped=lambda: bag.skipped)
 
 
 def _begun(items: Iterator[Packet | Picture], recoder: Recoder, **told: Any) -> VideoInput:

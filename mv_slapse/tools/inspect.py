@@ -9,7 +9,7 @@ from mv_slapse.codec.packet import Packet
 from mv_slapse.config import EncoderSettings
 from mv_slapse.errors import UnusableInput
 from mv_slapse.tools.inputs import is_from_bag, open_input, RECODED
-from mv_slapse.tools.probe import probe, UNUSABLE, USABLE, WITH_CARE
+from mv_slapse.tools.probe import Probe, probe, UNUSABLE, USABLE, WITH_CARE
 
 LABELS = {'codec': 'codec', 'size': 'picture [px]', 'fps': 'rate [1/s]', 'n_frames': 'frames read',
           'references': 'reference frames', 'b_frames': 'B frames in a row',
@@ -48,12 +48,11 @@ def inspect(name: str, topic: str | None = None, max_frames: int = 300,
         codec = packets[0].codec if packets else ''
         found = probe(_Stream(codec, *(source.size or (0, 0)), source.fps or _rate(packets),
                               packets), max_frames)
-        recoded = source.recoder.recoded
-        if recoded:
-            found = replace(found, codec=recoded, verdict=max(
-                found.verdict, WITH_CARE, key=(USABLE, WITH_CARE, UNUSABLE).index),
-                reasons=(*found.reasons, RECODED),
-                advice=(*found.advice, 'set the camera to H.264 without B frames'))
+        if recoded := source.recoder.recoded:
+            found = _with_care(replace(found, codec=recoded), RECODED,
+                               'set the camera to H.264 without B frames')
+        for skipped in source.skipped():
+            found = _with_care(found, skipped, 'look into the log of its publisher')
         return {'input': name, **asdict(found)}
 
 
@@ -74,6 +73,13 @@ def text(report: dict[str, Any]) -> str:
     findings = [line for reason, advice in zip(report['reasons'], report['advice'], strict=True)
                 for line in (f'  because: {reason}', f'  do this: {advice}')]
     return '\n'.join([report['input'], *facts, f'verdict: {report["verdict"]}', *findings])
+
+
+def _with_care(found: Probe, reason: str, advice: str) -> Probe:
+    """Return findings with one more reason why the video is not simply usable."""
+    verdict = max(found.verdict, WITH_CARE, key=(USABLE, WITH_CARE, UNUSABLE).index)
+    return replace(found, verdict=verdict, reasons=(*found.reasons, reason),
+                   advice=(*found.advice, advice))
 
 
 def _rate(packets: list[Packet]) -> float:

@@ -239,12 +239,12 @@ def _run(args: argparse.Namespace) -> int:
         from mv_slapse.tools import overlay
         overlay.check(args.overlay, args.input)
     camera = read_camera(args.camera) if args.camera else None
-    speeds = read_speeds(args.speed, args.input) if args.speed else []
+    speeds, warnings = read_speeds(args.speed, args.input) if args.speed else ([], [])
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C: files closed
     with progress_bar(args.quiet or args.json) as progress:
         history = History()
         options = run.Options(args.max_frames, args.topic, args.command_line, speeds, history,
-                              args.map, args.packets)
+                              args.map, args.packets, warnings)
         summary = run.run(args.input, camera, settings, args.output, options, progress)
     _print(args, summary.to_dict(), run_summary.text(summary, args.output))
     if not args.no_report:

@@ -90,6 +90,7 @@ class Options:
     # map.json of an earlier run, in whose frame the results are where it is found again
     known_map: str | Path | None = None
     with_packets: bool = False  # put the packets of the video into results.mcap, too
+    warnings: Iterable[str] = ()  # of what was read before the run, for the summary
 
 
 def run(input: str | Path, camera: Camera | None, settings: Settings, output: str | Path,
@@ -168,7 +169,7 @@ class _Session:
         self._planes, self._obstacles = Numbers(), Numbers()
         self._stamps = array('q')
         self._placing = Placing(options.known_map)
-        self.summary = Summary(name, command=options.command)
+        self.summary = Summary(name, command=options.command, warnings=[*options.warnings])
 
     def play(self, writer: ResultsWriter, progress: Progress | None):
         """Take the packets one after another, as a robot would."""

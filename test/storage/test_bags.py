@@ -89,6 +89,30 @@ def test_the_nearest_calibration_is_taken(tmp_path):
     assert reader.camera('/right/image/ffmpeg').K[0, 0] == other.K[0, 0]
 
 
+def test_messages_that_cannot_be_used_are_left_out_and_counted(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        for k, stamp in enumerate(STAMPS):
+            values = packet_to_fields(packet(k, stamp), (64, 48), k, 'eye')
+            empty = {**values, 'data': np.zeros(0, np.uint8)}
+            writer.write('/some', FFMPEG_PACKET, empty if k in (2, 4) else values, stamp)
+            writer.write('/none', FFMPEG_PACKET, empty, stamp)
+            writer.write('/odom', 'nav_msgs/msg/Odometry',
+                         odometry(stamp, np.nan if k == 3 else 2.0), stamp)
+    reader = BagReader(tmp_path / 'bag')
+    assert list(reader.packets('/some')) == [packet(k, stamp) for k, stamp in enumerate(STAMPS)
+                                             if k not in (2, 4)]
+    assert reader.speeds('/odom') == [Speed(stamp, 2.0) for k, stamp in enumerate(STAMPS)
+                                      if k != 3]
+    some, odom = reader.skipped
+    assert some.startswith('topic /some: 2 of its messages cannot be used and are left out; of '
+                           'the first: data is empty')
+    assert 'topic /odom: 1 of its messages' in odom
+    assert 'twist.twist.linear[0] = nan' in odom
+    with pytest.raises(UnusableInput, match='none of the 7 messages of topic /none can be used; '
+                                            'of the first: data is empty'):
+        list(reader.packets('/none'))
+
+
 def camera_info(**changes):
     return {**fields.camera_to_fields(CAMERA, 0, 'eye'), **changes}
 
@@ -106,7 +130,8 @@ def test_the_first_usable_calibration_is_taken(tmp_path):
     reader = write_infos(tmp_path / 'a', [none, camera_info(width=0), camera_info()])
     np.testing.assert_array_equal(reader.camera('/camera/image/ffmpeg').K, CAMERA.K)
     reader = write_infos(tmp_path / 'b', [none, camera_info(width=0)])
-    with pytest.raises(UnusableInput, match='b, topic /camera/camera_info: .* not calibrated'):
+    with pytest.raises(UnusableInput, match='b: none of the 2 messages of topic /camera/camera_in'
+                                            'fo can be used; of the first: .* not calibrated'):
         reader.camera('/camera/image/ffmpeg')
 
 

@@ -1,3 +1,6 @@
+import json
+
+import cv2
 from mv_slapse.codec.encoding.recoder import Recoder
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.codec.source import open_source
@@ -6,7 +9,7 @@ from mv_slapse.fields import camera_to_fields, header
 from mv_slapse.storage.bag_writer import BagWriter
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.tools import inputs
-from mv_slapse.video_messages import FFMPEG_PACKET, IMAGE, packet_to_fields
+from mv_slapse.video_messages import COMPRESSED_IMAGE, FFMPEG_PACKET, IMAGE, packet_to_fields
 import numpy as np
 import pytest
 
@@ -69,7 +72,32 @@ def test_a_bag_that_is_not_calibrated_is_used_with_a_calibration(call, clip, unc
                 '--no-report', '--max-frames', 9) == (0, '', '')
     code, _, err = call('run', uncalibrated, '-o', out)
     assert code == 3
-    assert 'bag, topic /camera_info: the picture size is 0x0' in err
+    assert 'of topic /camera_info can be used; of the first: camera_info: the picture size' in err
+
+
+def test_bad_messages_of_a_bag_end_no_run(call, clip, tmp_path):
+    zero = {'x': 0.0, 'y': 0.0, 'z': 0.0}
+    pose = {'pose': {'position': zero, 'orientation': {**zero, 'w': 1.0}},
+            'covariance': np.zeros(36)}
+    with BagWriter(tmp_path / 'bag') as bag:
+        for k, image in enumerate(inputs.pictures(clip.video)):
+            head, data = header(PERIOD * k, 'eye'), cv2.imencode('.jpg', image)[1]
+            bag.write('/video', COMPRESSED_IMAGE, {
+                'header': head, 'format': 'jpeg', 'data': data[:k % 10 and None]}, PERIOD * k)
+            speed = {**zero, 'x': np.nan if k == 5 else 10.0}
+            bag.write('/odom', 'nav_msgs/msg/Odometry', {
+                'header': head, 'child_frame_id': 'base_link', 'pose': pose, 'twist': {
+                    'twist': {'linear': speed, 'angular': zero}, 'covariance': np.zeros(36)}},
+                PERIOD * k)
+    code, out, err = call('run', tmp_path / 'bag', '--camera', clip.camera, '--speed', '/odom',
+                          '-o', tmp_path / 'out', '--json', '--no-report')
+    summary = json.loads(out)
+    assert (code, err, summary['frames']) == (0, '', 18)
+    recoded, odom = sorted(summary['warnings'], reverse=True)
+    assert 'topic /video: 3 of its messages cannot be used' in recoded
+    assert 'topic /odom: 1 of its messages cannot be used' in odom
+    code, out, _ = call('inspect', tmp_path / 'bag', '--json')
+    assert 'topic /video: 3 of its messages' in json.loads(out)['reasons'][-1]
 
 
 def test_a_cut_bag_comes_with_a_warning(clip, tmp_path):

@@ -172,10 +172,11 @@ def _row(recording: Recording, part: Path) -> Row:
 
 def _run(recording: Recording, part: Path) -> run_summary.Summary:
     camera = read_camera(recording.camera) if recording.camera else None
-    speeds = read_speeds(recording.speed, recording.input) if recording.speed else []
+    speeds, warnings = (read_speeds(recording.speed, recording.input) if recording.speed
+                        else ([], []))
     history = History()
     options = running.Options(recording.max_frames or None, recording.topic or None,
-                              command(recording), speeds, history)
+                              command(recording), speeds, history, warnings=warnings)
     summary = running.run(recording.input, camera, recording.settings, part, options)
     if recording.report:
         from mv_slapse.tools import run_report  # brings the plotting along
