@@ -18,6 +18,7 @@ from mv_slapse.storage.whole_files import PART, part_of, put_in_place, unusable
 ROWS = ('trajectory.tum', 'planes.csv', 'obstacles.csv')
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 AT_THE_END = ('labels.npz', 'map.json', 'results.mcap', 'summary.json')
+RESULTS = (*AT_THE_END, *ROWS, 'report.html')  # the last is another writer's
 
 
 class ResultsWriter:
@@ -40,7 +41,7 @@ class ResultsWriter:
         self.out = Path(out)
         try:
             self.out.mkdir(parents=True, exist_ok=True)
-            for name in (*AT_THE_END, *ROWS):
+            for name in RESULTS:
                 (self.out / name).unlink(missing_ok=True)
             self._trajectory = self._text('trajectory.tum')
             self._planes = self._text('planes.csv', tables.PLANES_HEADER)

@@ -27,7 +27,7 @@ from mv_slapse.records import (
     Speed,
     WITH_POSE,
 )
-from mv_slapse.storage.results import ResultsWriter
+from mv_slapse.storage.results import RESULTS, ResultsWriter
 from mv_slapse.tools.history import History
 from mv_slapse.tools.inputs import open_input, VideoInput
 from mv_slapse.tools.placing import Placing
@@ -111,6 +111,7 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
     UsageError
         Where arguments contradict one another, or the output cannot be written.
     """
+    _spare((str(input), options.known_map), Path(output))
     with open_input(str(input), options.topic, settings.encoder) as source:
         camera = _camera(camera, source, str(input))
         session = _Session(source, str(input), camera, settings, options)
@@ -118,15 +119,26 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
             try:
                 session.play(writer, progress)
             except KeyboardInterrupt:
+                session.release(writer)
                 session.summary.interrupted = True
                 session.summary.warnings.append('interrupted; the results end there')
             except UnusableInput as error:
+                session.release(writer)
                 if session.summary.key_frames:
                     session.summary.warnings.append(f'{error}; the results end there')
                     writer.close(session.finish())
                 raise
             writer.close(session.finish())
     return _checked(session.summary)
+
+
+def _spare(inputs: Iterable[str | Path | None], output: Path):
+    """Raise UsageError where an input is one of the results, which would take its place."""
+    results = {path.resolve() for path in (output, *(output / name for name in RESULTS))}
+    for given in filter(None, inputs):
+        if '://' not in str(given) and Path(given).resolve() in results:
+            raise UsageError(f'{given} is where the results of this run go, and would be lost; '
+                             'choose another output folder with -o')
 
 
 def decode(input: str | Path, camera: Camera, settings: Settings) -> Decoded:
@@ -190,6 +202,10 @@ class _Session:
             if progress:
                 progress(self.summary.frames, total)
         self._take(self._decode(self._decoder.flush), writer)
+        self.release(writer)
+
+    def release(self, writer: ResultsWriter):
+        """Write what is held back until a known map is found: nothing more will come."""
         self._write(self._placing.rest(), writer)
 
     def replay(self, decoded: Decoded, writer: ResultsWriter):

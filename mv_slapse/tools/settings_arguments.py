@@ -72,8 +72,10 @@ def _sections(content: dict) -> Iterable[tuple[str, dict]]:
     known = {field.name for field in fields(Settings)}
     for key, value in content.items():
         if isinstance(value, dict) and isinstance(value.get('ros__parameters'), dict):
-            yield from ((name, part) for name, part in value['ros__parameters'].items()
-                        if name in known and isinstance(part, dict))
+            for name, part in value['ros__parameters'].items():
+                section, dot, item = name.partition('.')
+                if section in known and (dot or isinstance(part, dict)):
+                    yield section, {item: part} if dot else part
         elif isinstance(value, dict):
             yield key, value
         else:

@@ -151,15 +151,6 @@ def test_a_clash_of_qos_is_left_by_the_first_message(bench):
     video.works()
 
 
-def test_a_publisher_that_does_not_fit_hinders_nothing_where_another_one_does(bench):
-    node = bench.start(SlamNode, tf_wait=0.0)
-    good = bench.advertise(PlaneObservations, 'planes/observations')
-    good.publish(PlaneObservations())
-    assert bench.spin(lambda: value_of(node, 'rejected on planes/observations'))
-    bench.peer.create_publisher(PlaneObservations, 'planes/observations', BEST_EFFORT)
-    assert not bench.spin(lambda: 'qos' in str(node.health.status().values), 1.0)
-
-
 @VIDEO_NODES
 def test_pause(bench, node_type):
     video = Video(bench, node_type)

@@ -123,7 +123,7 @@ def test_a_device_that_is_no_camera_is_told_as_one(bench, tmp_path, stream):
 
 def test_a_file_by_http_lasts_as_long_as_it_shows(bench, tmp_path):
     write_video(tmp_path / 'clip.mp4', clips.pictures(), clips.FPS)
-    write_camera(tmp_path / 'camera.yaml', camera_from_msg(clips.camera_info()))
+    write_camera(tmp_path / 'camera.yaml', fields.camera_from_message(clips.camera_info()))
     handler = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
     with ThreadingHTTPServer(('127.0.0.1', 0), handler) as server:
         Thread(target=server.serve_forever, daemon=True).start()

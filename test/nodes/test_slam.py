@@ -355,3 +355,12 @@ def test_markers_of_planes_that_left_the_map_are_deleted(bench):
     assert bench.spin(lambda: len(arrays) == 2)
     assert [(m.id, m.action) for m in arrays[1].markers] == [(8, Marker.ADD), (7, Marker.DELETE)]
     assert all(m.pose.orientation.w == 1.0 for array in arrays for m in array.markers)
+
+
+def test_a_publisher_that_does_not_fit_hinders_nothing_where_another_one_does(bench):
+    node = bench.start(SlamNode, tf_wait=0.0)
+    good = bench.advertise(PlaneObservations, 'planes/observations')
+    good.publish(PlaneObservations())
+    assert bench.spin(lambda: value_of(node, 'rejected on planes/observations'))
+    bench.peer.create_publisher(PlaneObservations, 'planes/observations', BEST_EFFORT)
+    assert not bench.spin(lambda: 'qos' in str(node.health.status().values), 1.0)

@@ -84,6 +84,36 @@ def test_an_interrupted_run_keeps_what_it_has(clip, tmp_path):
     assert (tmp_path / 'results.mcap').exists()
 
 
+def test_an_interrupted_run_keeps_what_waited_for_a_known_map(clip, tmp_path):
+    def interrupt(done, _):
+        if done == 12:
+            raise KeyboardInterrupt
+
+    tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path,
+             tool.Options(known_map=clip.out / 'map.json'), interrupt)
+    assert len(read_trajectory(tmp_path / 'trajectory.tum')) > 2
+
+
+@pytest.mark.parametrize('given', ['results.mcap', '.'])
+def test_a_run_does_not_take_the_place_of_its_input(clip, tmp_path, given):
+    tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path,
+             tool.Options(max_frames=6, with_packets=True))
+    before = (tmp_path / 'results.mcap').read_bytes()
+    with pytest.raises(UsageError, match='would be lost; choose another output folder'):
+        tool.run(tmp_path / given, None, Settings(), tmp_path)
+    with pytest.raises(UsageError, match='would be lost'):
+        tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path,
+                 tool.Options(known_map=tmp_path / 'map.json'))
+    assert (tmp_path / 'results.mcap').read_bytes() == before
+
+
+def test_a_report_of_an_earlier_run_goes_with_it(clip, tmp_path):
+    (tmp_path / 'report.html').write_text('of another run')
+    tool.run(clip.video, read_camera(clip.camera), Settings(), tmp_path,
+             tool.Options(max_frames=6))
+    assert not (tmp_path / 'report.html').exists()
+
+
 def test_results_end_where_the_pictures_change_their_size(rng, tmp_path):
     parts = []
     for size in ((320, 240), (160, 120)):

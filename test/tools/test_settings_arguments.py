@@ -42,8 +42,9 @@ def test_a_file_changes_what_it_names(tmp_path):
 def test_the_parameter_file_of_a_node_will_do(tmp_path):
     path = tmp_path / 'slam.yaml'
     path.write_text('/**:\n  ros__parameters:\n    odom_frame: odom\n'
-                    '    scene: {camera_height: 1.2}\n')
-    assert settings_arguments.read_settings(path).scene.camera_height == 1.2
+                    '    scene: {camera_height: 1.2}\n    extraction.seed: 7\n')
+    read = settings_arguments.read_settings(path)
+    assert (read.scene.camera_height, read.extraction.seed) == (1.2, 7)
 
 
 @pytest.mark.parametrize(('text', 'message'), [('a: [', 'cannot be read'),
