@@ -50,7 +50,7 @@ class _Skipped:
 def is_bag(path: str | Path) -> bool:
     """Return whether a path is a bag rather than a video."""
     path = Path(path)
-    if path.is_dir():
+    if os.path.isdir(path):  # Path.is_dir raises where a name is too long
         return (path / 'metadata.yaml').exists() or bool(_mcap_files(path))
     return path.suffix in SUFFIXES
 
