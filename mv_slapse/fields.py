@@ -54,6 +54,7 @@ from mv_slapse.ros_frames import Pose, RosFrames, Twist
 import numpy as np
 
 RATIOS = -50.0, 50.0  # log of a ratio of lengths
+UNITS = 1 / check.FARTHEST, check.FARTHEST  # of a length in another unit
 MAX_SPEED = 1000.0  # [m/s] of a vehicle
 
 
@@ -206,7 +207,7 @@ def plane_map_to_fields(scene: SceneEstimate, frames: RosFrames, resets: int = 0
     return {'header': header(scene.stamp, frames.odom), 'tracking': int(scene.status),
             'reason': scene.reason, 'scale_status': int(scene.scale_status),
             'scale_source': scene.scale_source, 'resets': int(resets),
-            'began': stamp_to_fields(began),
+            'began': stamp_to_fields(began), 'unit': float(scene.unit),
             'planes': [map_plane_to_fields(plane, frames) for plane in scene.planes]}
 
 
@@ -224,7 +225,7 @@ def scene_from_messages(odometry: Any, plane_map: Any, frames: RosFrames,
         twist.covariance, check.member(ScaleStatus, plane_map.scale_status, 'scale_status'),
         plane_map.scale_source, tuple(_map_plane_from_message(plane, frames) for plane
                                       in check.count(plane_map.planes, 'planes')), baseline,
-        int(plane_map.resets))
+        int(plane_map.resets), unit=check.number(plane_map.unit, 'unit', *UNITS))
 
 
 def check_odometry(msg: Any):
@@ -240,6 +241,7 @@ def check_plane_map(msg: Any):
     stamp_from_message(msg.began)
     tracking_from_message(msg)
     check.member(ScaleStatus, msg.scale_status, 'scale_status')
+    check.number(msg.unit, 'unit', *UNITS)
     for plane in check.count(msg.planes, 'planes'):
         _map_plane_from_message(plane, RosFrames())
 

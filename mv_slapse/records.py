@@ -295,16 +295,15 @@ class SceneEstimate:
         Pose, X_W = R X_cam + t.
     pose_covariance : (6, 6) float64
         Of (position in {W}, rotation [rad] about the axes of {W}: exp(w) R).
-    velocity_world, omega_cam : (3,) float64
-        Velocity in {W} [unit/s], angular velocity in the camera [rad/s].
-    twist_covariance : (6, 6) float64
-        Of (velocity_world, omega_cam).
+    velocity_world, omega_cam, twist_covariance : (3,), (3,), (6, 6) float64
+        Velocity in {W} [unit/s], angular velocity in the camera [rad/s]; covariance of both.
     scale_status, scale_source : ScaleStatus, str
         Unit of length and where it comes from.
     planes, baseline : tuple of MapPlane, float
         The map; distance between the pair's key frames [map unit].
-    resets, repairs : int
-        How often {W} began anew, after a loss, and the covariance had to be put right.
+    resets, repairs, unit : int, int, float
+        How often {W} began anew, after a loss, and the covariance had to be put right; what was 1
+        when the map began [map unit]. All lengths change with it, about the last published place.
     """
 
     stamp: int
@@ -322,6 +321,7 @@ class SceneEstimate:
     baseline: float = 0.0
     resets: int = 0
     repairs: int = 0
+    unit: float = 1.0
 
 
 @dataclass(frozen=True)

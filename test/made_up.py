@@ -59,7 +59,7 @@ def scene(rng, stamp: int = 400_000_000, status=r.TrackingStatus.OK) -> r.SceneE
     return r.SceneEstimate(stamp, status, 'why', rotation(rng), rng.normal(size=3),
                            covariance(rng, 6), rng.normal(size=3), rng.normal(size=3),
                            covariance(rng, 6), r.ScaleStatus.METRIC, 'camera height',
-                           (map_plane(rng),), 0.8)
+                           (map_plane(rng),), 0.8, unit=0.7)
 
 
 def obstacle(rng, id_: int = 9, stamp: int = 400_000_000) -> r.Obstacle:

@@ -111,7 +111,8 @@ map_planes = st.builds(
 scenes = st.builds(
     r.SceneEstimate, stamps, st.sampled_from(r.TrackingStatus), texts, rotations, vectors(),
     covariances(6), vectors(), vectors(), covariances(6), st.sampled_from(r.ScaleStatus), texts,
-    st.lists(map_planes, max_size=2).map(tuple), floats(0, FAR), counts)
+    st.lists(map_planes, max_size=2).map(tuple), floats(0, FAR), counts,
+    unit=floats(1e-6, 1e6))
 
 #: n/d of planes that lie no nearer to the origin than the frames are apart
 plane_vectors = st.tuples(rotations, floats(5, FAR)).map(lambda p: p[0][0] / p[1])

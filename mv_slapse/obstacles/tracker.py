@@ -13,7 +13,15 @@ from mv_slapse.obstacles import track as tracks
 from mv_slapse.obstacles.detection import detections, from_handover, inside, joined, tiles
 from mv_slapse.obstacles.motion_model import CameraStep
 from mv_slapse.obstacles.view import relative_motion, View, view_of
-from mv_slapse.records import Extraction, Label, Obstacle, PlaneHandover, ScalePrior, SceneEstimate
+from mv_slapse.records import (
+    Extraction,
+    Label,
+    Obstacle,
+    PlaneHandover,
+    ScalePrior,
+    SceneEstimate,
+    WITH_POSE,
+)
 import numpy as np
 
 USED_IDS = 10_000  # remembered, so that none is given twice: half an hour of 5 new ones a second
@@ -29,10 +37,7 @@ class ObstacleTracker:
     def __init__(self, settings: ObstacleSettings):
         """Start without obstacles."""
         self._settings = settings
-        self._tracks: list[tracks.Track] = []
-        self._waiting: dict[int, PlaneHandover] = {}
-        self._scene: SceneEstimate | None = None
-        self._view: View | None = None
+        self._forget()
         self._used: dict[int, None] = {}  # ids, the newest last
         self._next_id = OWN_IDS
 
@@ -69,6 +74,8 @@ class ObstacleTracker:
         view = view_of(extraction, scene, self._scene, self._view)
         self._predict(extraction, scene, view)
         self._scene, self._view = scene, view
+        if scene.status in WITH_POSE:
+            self._place = scene.t_world_from_cam
         owners = {track.plane_id: track for track in self._tracks}
         expected = {track.plane_id: track.box(view) for track in self._tracks}
         found = [joined(group, view) for group in association.groups(
@@ -83,19 +90,23 @@ class ObstacleTracker:
 
     def _forget(self):
         """Begin anew, with ids that were not given yet."""
-        self._tracks, self._waiting, self._scene, self._view = [], {}, None, None
+        self._tracks: list[tracks.Track] = []
+        self._waiting: dict[int, PlaneHandover] = {}
+        self._scene: SceneEstimate | None = None
+        self._view: View | None = None
+        self._place = np.zeros(3)  # position that was published last
 
     def _change_unit(self, scene):
-        """Take all along into the unit of a map that becomes metric; forget what cannot come."""
+        """Take all along into another unit of the map; forget what cannot come."""
         unit = 1.0 if self._scene is None else units.last_unit(self._scene, scene)
         if unit is None:
             self._forget()
         elif unit != 1.0:
             for track in self._tracks:
                 track.scale(unit)
-            self._scene = units.scene_in_unit(self._scene, unit)
-            self._view = self._view.in_unit(unit)
-            self._waiting = {id_: units.handover_in_unit(item, unit)
+            self._scene = units.scene_in_unit(self._scene, unit, self._place)
+            self._view = self._view.in_unit(unit, self._place)
+            self._waiting = {id_: units.handover_in_unit(item, unit, self._place)
                              for id_, item in self._waiting.items()}
 
     def _predict(self, extraction, scene, view):

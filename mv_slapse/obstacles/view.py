@@ -49,10 +49,10 @@ class View:
         """Return what to take for 1 m [map unit], given a ground."""
         return 1.0 if self.is_metric else 1 / (USUAL_HEIGHT * norm(self.ground))
 
-    def in_unit(self, unit: float) -> 'View':
-        """Return it in a unit of length that makes ``unit`` of its own."""
+    def in_unit(self, unit: float, place: np.ndarray) -> 'View':
+        """Return it in a unit that makes ``unit`` of its own; a place (3,) in {W} stays."""
         return replace(
-            self, t_world_from_cam=unit * self.t_world_from_cam,
+            self, t_world_from_cam=place + unit * (self.t_world_from_cam - place),
             t_cur_from_prev=unit * self.t_cur_from_prev, unit=unit * self.unit,
             scene_velocity=unit * self.scene_velocity,
             scene_covariance=unit**2 * self.scene_covariance,
@@ -61,11 +61,11 @@ class View:
     def plane_to_cam(self, plane_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a plane of {W} in the camera, upper half of (16), and the derivative (3, 3)."""
         R = self.R_world_from_cam
-        return _moved(plane_world, R.T, -R.T @ self.t_world_from_cam)
+        return plane_moved(plane_world, R.T, -R.T @ self.t_world_from_cam)
 
     def plane_to_world(self, plane_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a plane of the camera in {W} and the derivative (3, 3)."""
-        return _moved(plane_cam, self.R_world_from_cam, self.t_world_from_cam)
+        return plane_moved(plane_cam, self.R_world_from_cam, self.t_world_from_cam)
 
 
 def view_of(extraction: Extraction, scene: SceneEstimate, before: SceneEstimate | None,
@@ -99,8 +99,9 @@ def relative_motion(before: SceneEstimate, now: SceneEstimate) -> tuple[np.ndarr
             R_cam_from_world @ (before.t_world_from_cam - now.t_world_from_cam))
 
 
-def _moved(plane, R, t):
-    """Return a plane in another frame, X_b = R X_a + t, and the derivative."""
+def plane_moved(plane: np.ndarray, R: np.ndarray,
+                t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a plane n / d in another frame, X_b = R X_a + t, and the derivative (3, 3)."""
     rotated = R @ plane
     scale = 1 - rotated @ t
     # A plane through the other frame's origin has no n / d there: keep it far from infinite.

@@ -362,6 +362,7 @@ class SceneFilter:
             place = self._progress.place
             scene_state.rescale_about(self._state, place, factor, FIRST_METRIC_SIGMA)
             self._progress.fastest *= factor
+            self._progress.unit *= factor
             self._map.scale(factor, place)
             self._ride = self._ride.scaled(factor)
         scene_gauge.doubt_scale(self._state, 0.0)

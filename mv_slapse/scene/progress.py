@@ -23,7 +23,8 @@ class Progress:
     observation; ``misses``: how often in a row each plane has contradicted the map, ``refused``
     the depths; ``interval`` [s]: between the last two key frames; ``age`` [s]: since the camera
     first moved, ``told`` [s]: what that was when a ground told metres last; ``going`` [s]: since
-    the camera started to move; ``place``: position (3,) that was published last.
+    the camera started to move; ``place``: position (3,) that was published last; ``unit``: what
+    was one unit of length at the beginning [map unit].
     """
 
     stamp: int
@@ -35,6 +36,7 @@ class Progress:
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
     supported: int | None = None
     source: str = FREE
+    unit: float = 1.0
     fastest: float = 0.0
     started: bool = False
     carried: bool = False

@@ -20,4 +20,5 @@ def estimate(state: SceneState, planes: tuple[MapPlane, ...], stamp: int, status
         state.velocity.copy(), state.omega.copy(),
         scene_gauge.covariance(state, 'velocity', 'omega'),
         ScaleStatus.METRIC if progress.metric else ScaleStatus.UNKNOWN, progress.source, planes,
-        norm(state.current.t - state.previous.t), progress.resets, progress.repairs)
+        norm(state.current.t - state.previous.t), progress.resets, progress.repairs,
+        progress.unit)

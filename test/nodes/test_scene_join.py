@@ -2,18 +2,28 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import made_up
+from mv_slapse import fields
+from mv_slapse.config import SceneSettings
 from mv_slapse.nodes.scene_join import continues, SceneJoin, SceneMemory
-from mv_slapse.obstacles import units
-from mv_slapse.records import ScaleStatus, TrackingStatus
+from mv_slapse.records import ScaleStatus, Speed, TrackingStatus
+from mv_slapse.ros_frames import RosFrames
+from mv_slapse.scene.filter import SceneFilter
+from mv_slapse.storage import messages
 import numpy as np
 import pytest
+from scene_drive import Canyon, DT, SPEED
 
+FRAMES = RosFrames()
 OK, LOST = int(TrackingStatus.OK), int(TrackingStatus.LOST)
 
 
 def message(stamp, **fields):
     time = SimpleNamespace(sec=stamp // 10**9, nanosec=stamp % 10**9)
     return SimpleNamespace(header=SimpleNamespace(stamp=time), stamp=stamp, **fields)
+
+
+def through_cdr(name, values):
+    return messages.typestore().deserialize_cdr(messages.serialize(name, values), name)
 
 
 @pytest.fixture
@@ -92,14 +102,13 @@ def odometry_of(x, stamp):
 
 def map_of(tracking=OK):
     return SimpleNamespace(tracking=tracking, reason='', scale_status=1, scale_source='', resets=0,
-                           planes=[])
+                           planes=[], unit=1.0)
 
 
 def remember(memory, x, stamp):
-    from mv_slapse.ros_frames import RosFrames
     extraction = made_up.extraction(np.random.default_rng(0), stamp=stamp)
     odometry = None if x is None else odometry_of(x, stamp)
-    return memory.scene(extraction, odometry, map_of(LOST if x is None else OK), RosFrames())
+    return memory.scene(extraction, odometry, map_of(LOST if x is None else OK), FRAMES)
 
 
 def test_the_baseline_is_the_distance_to_the_pose_before():
@@ -141,7 +150,7 @@ def test_a_baseline_is_known_and_continues_where_the_unit_becomes_the_metre(unit
     memory = SceneMemory()
     before = remember(memory, 50.0, 100_000_000)
     assert before.scale_status is ScaleStatus.METRIC
-    before = replace(units.scene_in_unit(before, 1 / unit), planes=(),
+    before = replace(before, velocity_world=before.velocity_world / unit, unit=1 / unit,
                      scale_status=ScaleStatus.UNKNOWN)
     memory.last = before
     scene = remember(memory, 51.0, 200_000_000)
@@ -149,3 +158,20 @@ def test_a_baseline_is_known_and_continues_where_the_unit_becomes_the_metre(unit
     sure = {'pose_covariance': 1e-4 * np.eye(6)}
     assert continues(replace(before, **sure), replace(scene, **sure))
     assert not continues(scene, before)
+
+
+def test_every_baseline_is_right_where_a_speed_makes_metres_late():
+    canyon, memory, n = Canyon(), SceneMemory(), 20
+    filter_, found = SceneFilter(SceneSettings()), []
+    for k in range(1, n + 1):
+        extraction = canyon.extraction(k)
+        told = [Speed(extraction.previous_stamp, SPEED)] if k > 15 else []
+        scene = filter_.step(extraction, (), told)[0]
+        there = memory.scene(extraction, *(
+            through_cdr(name, to_fields(scene, FRAMES)) for name, to_fields in (
+                ('nav_msgs/msg/Odometry', fields.odometry_to_fields),
+                ('mv_slapse_msgs/msg/PlaneMap', fields.plane_map_to_fields))), FRAMES)
+        found.append((there.baseline, scene.baseline, scene.scale_status))
+    assert {status for *_, status in found} == set(ScaleStatus)
+    np.testing.assert_allclose([f[0] for f in found[1:]], [f[1] for f in found[1:]], rtol=1e-3)
+    assert found[15][0] == pytest.approx(DT * SPEED, rel=1e-3)  # 3.8 m about the origin

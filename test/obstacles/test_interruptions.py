@@ -11,6 +11,7 @@ from mv_slapse.obstacles.track import NO_PLANE
 from mv_slapse.obstacles.tracker import ObstacleTracker, OWN_IDS
 from mv_slapse.obstacles.view import view_of
 from mv_slapse.records import Label, MotionStatus, PlaneHandover, ScaleStatus
+from numeric import jacobian
 import numpy as np
 import pytest
 
@@ -19,15 +20,19 @@ AHEAD = Drive((Mover(1, (0.3, 20), (0, 12)),))
 
 
 def follow(tracker, drive, rng, seconds, start=0.0, metres=1.0):
-    """Return the usable obstacles of each key frame, in a unit of some ``metres`` if not 1."""
-    result = []
+    """Return the usable obstacles of each key frame, in a unit of some ``metres`` if not 1.
+
+    Then the last position is where it is in metres, as the scene filter has it.
+    """
+    result, place = [], drive.pose(start + seconds)[1]
     for i in range(round(seconds / DT)):
         before, now = start + i * DT, start + (i + 1) * DT
         scene = drive.scene(before, now)
         if metres != 1:
             scene = replace(
                 scene, scale_status=ScaleStatus.UNKNOWN, baseline=scene.baseline / metres,
-                t_world_from_cam=scene.t_world_from_cam / metres,
+                t_world_from_cam=place + (scene.t_world_from_cam - place) / metres,
+                unit=scene.unit / metres,
                 velocity_world=scene.velocity_world / metres,
                 twist_covariance=scene.twist_covariance / metres**2,
                 planes=tuple(replace(p, depth=p.depth / metres) for p in scene.planes))
@@ -81,8 +86,7 @@ def test_obstacles_keep_their_place_when_the_unit_becomes_the_metre(rng, metres,
     speeds = [e.speed for e in tracker._tracks[0].evidence]
     after = follow(tracker, drive, rng, 0.3, start=0.8 + lost)[0]
     assert [o.id for o in before] == [o.id for o in after] == [1]
-    ahead = [o.position[2] - 10 * time / unit for (o,), time, unit in
-             ((before, 0.8, metres), (after, 0.9 + lost, 1.0))]
+    ahead = [o.position[2] - 10 * time for (o,), time in ((before, 0.8), (after, 0.9 + lost))]
     assert ahead[1] == pytest.approx(metres * ahead[0], rel=0.1)
     assert after[0].velocity[2] == pytest.approx(metres * before[0].velocity[2], rel=0.15)
     np.testing.assert_allclose([e.speed for e in tracker._tracks[0].evidence][:len(speeds)],
@@ -96,6 +100,25 @@ def test_a_ground_out_of_sight_keeps_its_place_when_the_unit_becomes_the_metre(r
     unseen = replace(scene.planes[0], last_stamp=0)
     tracker.step(AHEAD.extraction(0.8, 0.9, rng), replace(scene, planes=(unseen,)))
     assert np.linalg.norm(tracker._view.ground) == pytest.approx(1 / 1.65, rel=1e-3)
+
+
+@pytest.mark.parametrize('growth', [1.6, 0.6])
+def test_obstacles_follow_a_metric_scale_that_is_put_right(rng, growth):
+    tracker = ObstacleTracker(SETTINGS)
+    [before] = follow(tracker, AHEAD, rng, 0.8)[-1]
+    speeds = [e.speed for e in tracker._tracks[0].evidence]
+    scene, place = AHEAD.scene(0.8, 0.9), AHEAD.pose(0.8)[1]
+    grown = replace(scene, unit=growth, baseline=growth * scene.baseline,
+                    t_world_from_cam=place + growth * (scene.t_world_from_cam - place),
+                    velocity_world=growth * scene.velocity_world,
+                    planes=tuple(replace(p, depth=growth * p.depth) for p in scene.planes))
+    [after] = tracker.step(AHEAD.extraction(0.8, 0.9, rng), grown)[0]
+    assert after.id == before.id
+    assert after.velocity[2] == pytest.approx(growth * before.velocity[2], rel=0.1)
+    ahead = [(o.position - t)[2] for o, t in ((before, place), (after, grown.t_world_from_cam))]
+    assert ahead[1] == pytest.approx(growth * (ahead[0] + 0.2), rel=0.05)  # 2 m/s faster
+    np.testing.assert_allclose([e.speed for e in tracker._tracks[0].evidence][:len(speeds)],
+                               growth * np.array(speeds))
 
 
 @pytest.mark.parametrize('metres', [2.0, 0.5])
@@ -113,25 +136,19 @@ def test_before_a_camera_that_has_only_stood_there_is_no_unit_to_change(rng):
     assert [o.id for o in before] == [o.id for o in after] == [1]
 
 
-def test_far_from_the_origin_a_tilt_of_the_ground_is_no_other_unit():
-    far = AHEAD.scene(49.9, 50.0)
-    ground = far.planes[0]
-    turned = np.array([0.0, -np.cos(1e-3), -np.sin(1e-3)])
-    tilted = replace(ground, normal=turned,
-                     depth=ground.depth - (turned - ground.normal) @ far.t_world_from_cam)
-    before = replace(far, scale_status=ScaleStatus.UNKNOWN)
-    assert units.last_unit(before, replace(far, planes=(tilted,))) == pytest.approx(1, abs=1e-4)
-
-
-def test_a_hand_over_comes_into_the_new_unit():
-    S = np.diag([0.5] * 3 + [2.0] * 3)
-    covariance = np.arange(36.0).reshape(6, 6)
-    item = PlaneHandover(1, 1, Label.MOVING, np.array([0.0, 0, 0.1]), np.array([0, 0, 3.0]),
-                         covariance)
-    there = units.handover_in_unit(item, 2.0)
-    np.testing.assert_allclose(there.plane, [0, 0, 0.05])
-    np.testing.assert_allclose(there.velocity, [0, 0, 6.0])
-    np.testing.assert_allclose(there.covariance, S @ covariance @ S)
+def test_a_hand_over_comes_into_the_new_unit(rng):
+    A, place, unit = rng.normal(size=(6, 6)), np.array([1.0, -0.5, 40]), 2.5
+    item = PlaneHandover(1, 1, Label.MOVING, np.array([0.01, 0.05, -0.02]), np.array([0, 0, 3.0]),
+                         A @ A.T)
+    there = units.handover_in_unit(item, unit, place)
+    X = rng.normal(size=(5, 3)) + place
+    X -= ((X @ item.plane + 1) / (item.plane @ item.plane))[:, None] * item.plane  # on the plane
+    np.testing.assert_allclose((place + unit * (X - place)) @ there.plane, -1)
+    np.testing.assert_allclose(there.velocity, [0, 0, 7.5])
+    J = unit * np.eye(6)
+    J[:3, :3] = jacobian(lambda e: units.handover_in_unit(
+        replace(item, plane=item.plane + e), unit, place).plane, np.zeros(3))
+    np.testing.assert_allclose(there.covariance, J @ item.covariance @ J.T, rtol=1e-5)
 
 
 @pytest.mark.parametrize(('place', 'velocity', 'yaw'), [

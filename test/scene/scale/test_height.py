@@ -113,4 +113,8 @@ def test_lengths_that_are_wrong_and_sure_are_put_right_once_the_ground_contradic
     np.testing.assert_allclose(speeds[PATIENCE + 2:], 1, atol=0.15)
     assert speeds[-1] == pytest.approx(1, abs=0.06)  # 0.56 and 1.66 without
     steps = np.linalg.norm(np.diff([e.t_world_from_cam for e in estimates], axis=0), axis=1)
+    grown = np.diff(np.log([e.unit for e in estimates]))
+    assert np.count_nonzero(grown) == 1
+    at = np.argmax(np.abs(grown))
+    assert grown[at] == pytest.approx(np.log(speeds[at + 1] / speeds[at]), abs=0.1)
     assert steps.max() < 2.1 * 0.1 * SPEED  # what was published stays where it is

@@ -53,6 +53,9 @@ def test_a_speed_that_begins_later_makes_it_metric_then():
     assert [e.scale_status for e in estimates[:13]] == [ScaleStatus.UNKNOWN] * 13
     assert estimates[-1].scale_source == 'speed'
     assert_continuous(canyon, estimates, 14)
+    units = [e.unit for e in estimates]
+    assert units[:13] == [1.0] * 13
+    assert units[13:] == pytest.approx([DT * SPEED] * 27, rel=1e-3)
     assert np.linalg.norm(estimates[-1].velocity_world) == pytest.approx(SPEED, rel=0.02)
 
 
