@@ -70,6 +70,9 @@ class ObstacleTracker:
             self._forget()  # the clock was set back, as by another recording
         self._tracks = [track for track in self._tracks
                         if not self._expired(track, extraction.previous_stamp)]
+        # They come in the unit that the scene's map had before this pair.
+        self._waiting.update((item.id, item) for item in handovers
+                             if item.to_label is Label.MOVING)
         self._change_unit(scene)
         view = view_of(extraction, scene, self._scene, self._view)
         self._predict(extraction, scene, view)
@@ -85,7 +88,7 @@ class ObstacleTracker:
         self._search(extraction)
         self._begin(free, extraction)
         self._merge()
-        self._take(handovers, extraction)
+        self._take(extraction)
         return self._finish(extraction)
 
     def _forget(self):
@@ -183,10 +186,8 @@ class ObstacleTracker:
                                              self._new_id(detection.id)))
             self._own(self._tracks[-1])
 
-    def _take(self, handovers, extraction):
+    def _take(self, extraction):
         """Start a track for each plane that the scene filter gave up, once its blocks are seen."""
-        self._waiting.update((item.id, item) for item in handovers
-                             if item.to_label is Label.MOVING)
         for plane_id, item in sorted(self._waiting.items()):
             late = 1e-9 * (extraction.stamp - item.stamp) > self._settings.lifetime
             known = any(track.plane_id == plane_id for track in self._tracks)

@@ -102,6 +102,18 @@ def test_a_ground_out_of_sight_keeps_its_place_when_the_unit_becomes_the_metre(r
     assert np.linalg.norm(tracker._view.ground) == pytest.approx(1 / 1.65, rel=1e-3)
 
 
+def test_the_scene_filter_hands_over_in_the_unit_of_before(rng):
+    mover, place = Mover(1, (0.3, 20), (0, 12)), AHEAD.pose(0.8)[1]
+    drive, tracker = Groundless((mover,)), ObstacleTracker(SETTINGS)
+    follow(tracker, Groundless(()), rng, 0.8, metres=2.0)
+    normal, d = mover.plane(0.9)
+    item = PlaneHandover(9 * 10**8, 1, Label.MOVING, normal / d, np.zeros(3), 1e-6 * np.eye(6))
+    seen = replace(drive.extraction(0.8, 0.9, rng), planes=())
+    [found] = tracker.step(seen, drive.scene(0.8, 0.9),
+                           [units.handover_in_unit(item, 0.5, place)])[0]
+    assert found.position[2] == pytest.approx(20 + 12 * 0.9, rel=1e-3)
+
+
 @pytest.mark.parametrize('growth', [1.6, 0.6])
 def test_obstacles_follow_a_metric_scale_that_is_put_right(rng, growth):
     tracker = ObstacleTracker(SETTINGS)
