@@ -88,6 +88,7 @@ class SceneFilter:
         self._speeds.feed(speeds)
         if self._state is None:
             self._begin(extraction)
+        self._speeds.forget(min(self._progress.stamp, extraction.previous_stamp))
         self._map.accept(self._state, handovers)
         leaving = self._map.release(self._state, extraction)
         status, reason = self._advance(extraction)

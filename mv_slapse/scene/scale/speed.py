@@ -39,14 +39,18 @@ class SpeedLog:
             if np.isfinite(speed.value):
                 insort(self._speeds, speed, key=lambda known: known.stamp)
 
+    def forget(self, start: int):
+        """Drop what tells nothing from a stamp [ns] on: all before the last speed up to it."""
+        at = bisect_right(self._speeds, start, key=lambda known: known.stamp)
+        del self._speeds[:max(at - 1, 0)]
+
     def travelled(self, start: int, end: int) -> Travelled | None:
         """Return the way from one stamp [ns] to another; forget what is older.
 
         Speeds after ``end`` do not count: a robot does not have them yet, and a replay shall
         find the same. None where there is no speed for longer than ``HOLD``.
         """
-        stamps = [speed.stamp for speed in self._speeds]
-        del self._speeds[:max(bisect_right(stamps, start) - 1, 0)]
+        self.forget(start)
         known = [speed for speed in self._speeds if speed.stamp <= end]
         if not known or end <= start:
             return None

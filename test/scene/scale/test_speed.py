@@ -127,6 +127,20 @@ def test_after_a_rest_the_speed_tells_the_first_way():
     assert max(position_errors(canyon, estimates, 21)) < 0.05
 
 
+@pytest.mark.parametrize('moved', [0, 10])
+@pytest.mark.parametrize('status', [
+    MotionStatus.STANDSTILL, MotionStatus.ROTATION_ONLY, MotionStatus.UNKNOWN])
+def test_a_camera_that_goes_nowhere_keeps_no_speeds_but_those_of_its_pair(status, moved):
+    canyon, filter_ = Canyon(), SceneFilter(FREE)
+    driven(canyon, moved, [], filter_=filter_)
+    for k in range(moved + 1, moved + 100):
+        told = [Speed(stamp(k - 1) + i * S // 100, 0.0) for i in range(1, 11)]
+        filter_.step(canyon.blank(k, status), (), told)
+        first = [stamp(k - 1)] if k > moved + 1 else []  # with it the pair's way begins
+        assert [speed.stamp for speed in filter_._speeds._speeds] == [
+            *first, *(speed.stamp for speed in told)]
+
+
 @pytest.mark.parametrize(('turn', 'speed', 'sigma'), [
     (0.0, 4.0, 0.02), (0.1, 4.0, np.hypot(0.02, 0.025)), (0.1, -2.0, np.hypot(0.02, 0.05))])
 def test_a_turn_widens_what_a_speed_tells(turn, speed, sigma):
