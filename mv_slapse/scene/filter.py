@@ -357,7 +357,8 @@ class SceneFilter:
     def _make_metric(self, factor: float, source: str):
         """Make lengths metres by a factor, which compares one pair with its prediction.
 
-        What was published last stays where it is: odometry is continuous.
+        What was published last stays where it is: odometry is continuous. A height that was
+        learned in the unit before would carry the factor's error on: it is learned anew.
         """
         if self._progress.started:
             place = self._progress.place
@@ -365,7 +366,7 @@ class SceneFilter:
             self._progress.fastest *= factor
             self._progress.unit *= factor
             self._map.scale(factor, place)
-            self._ride = self._ride.scaled(factor)
+            self._ride = self._ride.released(self._state)
         scene_gauge.doubt_scale(self._state, 0.0)
         self._progress.source = source
 

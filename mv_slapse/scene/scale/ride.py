@@ -54,11 +54,11 @@ class Ride:
     error: np.ndarray = field(default_factory=lambda: np.zeros(N_LASTING))
     sights: tuple[Sight, ...] = ()  # what the last pairs have shown
 
-    def scaled(self, factor: float) -> 'Ride':
-        """Return it where every length is multiplied by a factor."""
-        sights = tuple(sight._replace(way=sight.way * factor, height=sight.height + np.log(factor))
-                       for sight in self.sights)
-        return replace(self, height=self.height * factor, sights=sights)
+    def released(self, state: SceneState) -> 'Ride':
+        """Return the beginning anew; what was not known of the height is the state's again."""
+        if self.height:
+            ekf.estimate_again(state.error, HEIGHT.start)
+        return Ride()
 
     def observations(self, ground: int, settings: SceneSettings) -> list[Observation]:
         """Return what is known of a camera that rides above a plane of the map, if it does.
@@ -79,7 +79,7 @@ class Ride:
         normal = np.mean([sight.normal for sight in self.sights], axis=0)
         off = abs(normal @ motion.t_cur_from_prev)
         sigma = np.sqrt(normal @ motion.covariance[3:, 3:] @ normal)
-        return _released(state) if off > RULES.leap + 3 * sigma else self
+        return self.released(state) if off > RULES.leap + 3 * sigma else self
 
     def seen(self, state: SceneState, ground: int) -> 'Ride':
         """Return it after an update by one more pair, whose ``ground`` is a plane of the map.
@@ -92,19 +92,13 @@ class Ride:
         off, swing, change = _departures(sights)
         if self.height:
             left = off > RULES.release * RULES.off or swing > RULES.release * RULES.swing
-            return _released(state) if left else replace(self, sights=sights)
+            return self.released(state) if left else replace(self, sights=sights)
         long = sum(sight.way for sight in sights) >= RULES.way * depth
         if len(sights) >= RULES.least and long and off < RULES.off and (
                 swing < RULES.swing and change < RULES.change):
             error = ekf.consider(state.error, H, HEIGHT.start)
             return replace(self, height=depth, error=error, sights=sights)
         return replace(self, sights=sights)
-
-
-def _released(state: SceneState) -> Ride:
-    """Return the beginning anew; what was not known of the height is the state's again."""
-    ekf.estimate_again(state.error, HEIGHT.start)
-    return Ride()
 
 
 def _sight(state: SceneState, ground: int, depth: float) -> Sight:

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
-from mv_slapse.records import ScaleStatus
+from mv_slapse.records import ScaleStatus, Speed
 from mv_slapse.scene import observations as scene_observations
 from mv_slapse.scene import state as scene_state
 from mv_slapse.scene import update as scene_update
 from mv_slapse.scene.filter import SceneFilter
-from mv_slapse.scene.scale.ride import Ride, Sight
+from mv_slapse.scene.scale.ride import Ride
 from numeric import jacobian
 import numpy as np
 import pytest
@@ -132,11 +132,31 @@ def test_what_is_not_known_of_the_height_is_an_error_that_lasts(rng):
     assert not state.error.lasting[:, scene_state.HEIGHT].any()
 
 
-def test_a_new_unit_of_length_is_that_of_the_height_too():
-    sight = Sight(1.0, np.log(2.0), np.array([0, -1.0, 0]), 0.01)
-    ride = Ride(2.0, sights=(sight,)).scaled(3.0)
-    assert (ride.height, ride.sights[0].way) == (6.0, 3.0)
-    assert ride.sights[0].height == pytest.approx(np.log(6.0))
+@pytest.mark.parametrize('wrong', [0.9, 1.1])
+def test_a_first_speed_that_is_wrong_leaves_no_trace_in_the_height(rng, wrong):
+    canyon, filter_, found, n = Canyon(rng, sigma=0.3), SceneFilter(FREE), [], 100
+    for k in range(1, n + 1):
+        extraction = canyon.extraction(k)
+        told = [Speed(at, SPEED * (wrong if k == 40 else 1))
+                for at in (extraction.previous_stamp, extraction.stamp - 1)]
+        found.append(filter_.step(extraction, (), told if k >= 40 else ())[0])
+        if k == 39:
+            assert filter_._ride.height == pytest.approx(HEIGHT / UNIT, rel=0.02)
+    scale = np.array([e.baseline / UNIT for e in found])
+    assert scale[39] == pytest.approx(wrong, rel=0.01)
+    assert scale[59:].mean() == pytest.approx(1, abs=2e-3)  # 0.978 and 1.018 with it
+    ride = filter_._ride
+    assert ride.height == pytest.approx(HEIGHT, rel=0.01)  # off by 10 % with it, and sure to 0.9
+    assert abs(np.log(ride.height / HEIGHT)) < 3 * ride.error[scene_state.HEIGHT]
+
+
+def test_to_let_a_height_go_changes_no_height_that_is_given(rng):
+    filter_ = SceneFilter(METRIC)
+    driven(Canyon(rng, sigma=0.3), 20, filter_=filter_)
+    state = deepcopy(filter_._state)
+    assert state.error.lasting[:, scene_state.HEIGHT].any()
+    Ride().released(state)
+    np.testing.assert_array_equal(state.error.lasting, filter_._state.error.lasting)
 
 
 def test_only_a_camera_that_rides_is_observed_to():
