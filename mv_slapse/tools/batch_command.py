@@ -11,8 +11,8 @@ import sys
 from typing import Any
 
 from mv_slapse.config import Settings
-from mv_slapse.tools.batch import page, scheduling, summary, task
-from mv_slapse.tools.batch.manifest import Recording, recordings
+from mv_slapse.tools.batch import page, places, scheduling, summary, task
+from mv_slapse.tools.batch.manifest import FILES, Recording, recordings
 from mv_slapse.tools.batch.task import Row
 from mv_slapse.tools.batch.workers import open_pool, Pool, require_dask, UnusableCluster, Workers
 from mv_slapse.tools.plain import plain
@@ -36,6 +36,8 @@ def main(args: argparse.Namespace, settings: Settings) -> int:
                      max_frames=args.max_frames or 0, settings=settings,
                      report=not args.no_report)
     items = recordings(args.input, like, args.sweep, output, task.code())
+    places.check(output, [item.name for item in items],
+                 [getattr(item, file) for item in items for file in ('input', *FILES)])
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C
     with scheduling.claimed(output):
         rows, left = scheduling.split(items, output)

@@ -66,6 +66,17 @@ def test_a_table_is_run_once_and_told(call, table, tmp_path, monkeypatch):
     assert call('batch', table, '-o', out, '--quiet') == (0, '', '')
 
 
+@pytest.mark.parametrize('given', ['fleet.csv', 'a.mpg', '*.mp*'])
+def test_recordings_are_not_replaced_by_their_results(call, table, monkeypatch, given):
+    monkeypatch.chdir(table.parent)
+    table.write_text('input\na.mpg\nb.mp4\n')
+    before = {path: path.read_bytes() for path in table.parent.iterdir()}
+    code, _, err = call('batch', given, '-o', '.')
+    assert code == 2
+    assert 'choose another folder with -o' in err
+    assert {path: path.read_bytes() for path in table.parent.iterdir()} == before
+
+
 def test_without_dask_it_says_what_to_install(call, clip, tmp_path, monkeypatch):
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, 'find_spec',

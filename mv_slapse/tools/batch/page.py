@@ -15,12 +15,12 @@ from mv_slapse.evaluation import trajectory
 from mv_slapse.evaluation.truth import read_truth
 from mv_slapse.storage import whole_files
 from mv_slapse.storage.tum import read_trajectory
+from mv_slapse.tools.batch.places import PAGE
 from mv_slapse.tools.batch.summary import COLUMNS
 from mv_slapse.tools.batch.task import DONE, Row
 from mv_slapse.tools.page import image, png
 import numpy as np
 
-PAGE = 'batch.html'
 N_WORST = 10
 BINS = 24
 TRUE, FOUND = '#8c8c8c', '#0072b2'

@@ -11,12 +11,12 @@ from mv_slapse.errors import MvSlapseError, UsageError
 from mv_slapse.storage import whole_files
 from mv_slapse.tools.batch import task
 from mv_slapse.tools.batch.manifest import Recording
+from mv_slapse.tools.batch.places import LOCK
 from mv_slapse.tools.batch.task import Row
 from mv_slapse.tools.batch.workers import died, Pool
 
 #: tasks that the scheduler holds, so that this process stays small and no worker waits for it
 AT_ONCE, FOR_EACH_THREAD = 64, 4
-LOCK = '.lock'
 MEMORY = ('it takes more memory than its worker has; give fewer workers, or more with '
           '--memory-limit')
 

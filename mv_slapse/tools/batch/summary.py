@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from mv_slapse.storage import whole_files
+from mv_slapse.tools.batch.places import PAGE, TABLE
 from mv_slapse.tools.batch.task import DONE, FAILED, LEFT, LOST, Row
 
 COLUMNS = ('name', 'input', 'swept', 'status', 'exit_code', 'reason', 'duration_s', 'frames',
            'way', 'key_frames', 'poses', 'lost_percent', 'scale', 'scale_source', 'planes',
            'obstacles', 'hazards', 'ate_m', 'epsilon_d_percent', 'cpu_ms', 'worker')
-TABLE = 'batch.csv'
 DIGITS = 6
 
 
@@ -43,7 +43,7 @@ def text(rows: Sequence[Row], output: Path) -> str:
            for row in rows if row['status'] in (LOST, FAILED)]
     more = [f'... and {len(bad) - 20} more'] if len(bad) > 20 else []
     return '\n'.join([*bad[:20], *more, f'{len(rows)} recordings: {total or "none"}',
-                      f'table in {output / TABLE}, page in {output / "batch.html"}'])
+                      f'table in {output / TABLE}, page in {output / PAGE}'])
 
 
 def _cell(value: Any) -> Any:

@@ -25,6 +25,7 @@ from mv_slapse.storage.tum import read_trajectory
 from mv_slapse.tools import run as running
 from mv_slapse.tools import run_summary
 from mv_slapse.tools.batch.manifest import Recording
+from mv_slapse.tools.batch.places import check_replaceable, ROW
 from mv_slapse.tools.batch.workers import worker_address
 from mv_slapse.tools.eval import evaluate
 from mv_slapse.tools.history import History
@@ -32,7 +33,6 @@ from mv_slapse.tools.inputs import read_speeds
 from mv_slapse.tools.plain import plain
 import numpy as np
 
-ROW = 'row.json'
 TRIES = 3  # the first, and two more where its worker dies
 DONE, LOST, FAILED, LEFT = 'done', 'lost', 'failed', 'not run'
 FAULT, TRACKING_LOST, DIED = 1, 4, 6  # exit codes of a row, beside those of errors
@@ -56,13 +56,14 @@ def run_recording(recording: Recording, output: str, call: str) -> Row:
     Raises
     ------
     UnusableOutput
-        Where the folder cannot be written.
+        Where the folder cannot be written, or another one stands there that is no run's.
     """
     place = Path(output, recording.name)
     kept = kept_row(place, recording.key)
     if kept is not None and (is_finished(kept) or kept['call'] == call):
         return kept
     try:
+        check_replaceable(place)
         part = _begun(place, call)
         if part is None:
             part, row = _last(place, call), _dead(recording, place, call)
@@ -222,7 +223,7 @@ def _errors(figures: Row) -> Row:
 
 
 def _placed(part: Path, place: Path, key: str) -> Row:
-    """Give a whole folder its place; what was there goes, unless another worker was first."""
+    """Give a whole folder its place; an earlier run's goes, unless another worker was first."""
     aside = whole_files.part_of(part.with_suffix('.old'))
     while True:
         first = kept_row(place, key)
@@ -235,6 +236,7 @@ def _placed(part: Path, place: Path, key: str) -> Row:
         except OSError:
             if not place.exists():
                 raise
+            check_replaceable(place)
             os.replace(place, aside)
     shutil.rmtree(aside, ignore_errors=True)
     return kept_row(place, key) or {}

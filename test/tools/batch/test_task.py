@@ -3,6 +3,7 @@
 from dataclasses import replace
 import json
 
+from mv_slapse.errors import UnusableOutput
 from mv_slapse.storage.camera_info import read_camera
 from mv_slapse.tools.batch import task
 from mv_slapse.tools.run import run
@@ -94,6 +95,19 @@ def test_who_is_first_stays(item, tmp_path):
     assert task._placed(first, place, item.key)['poses'] == 1
     assert task._placed(second, place, item.key)['poses'] == 1
     assert [path.name for path in tmp_path.iterdir()] == [item.name]
+
+
+def test_what_is_no_run_stays_and_is_told_before_the_run_and_after(item, tmp_path, monkeypatch):
+    mine = tmp_path / item.name / 'mine.txt'
+    mine.parent.mkdir()
+    mine.touch()
+    monkeypatch.setattr(task, '_row', None)
+    with pytest.raises(UnusableOutput, match='no run of a batch'):
+        ran(item, tmp_path)
+    part = task._begun(mine.parent, 'call')
+    with pytest.raises(UnusableOutput, match='no run of a batch'):
+        task._placed(part, mine.parent, item.key)
+    assert mine.exists()
 
 
 def test_most_key_frames_without_a_pose_is_lost(item, tmp_path, monkeypatch):
