@@ -47,7 +47,7 @@ def claimed(output: Path) -> Iterator[None]:
         yield
 
 
-def clear(output: Path, name: str = '*'):
+def clear(output: Path, name: str = task.BEGUN):
     """Remove what runs have begun and not finished."""
     for part in task.remains(output, name):
         shutil.rmtree(part, ignore_errors=True)

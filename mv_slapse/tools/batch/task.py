@@ -38,6 +38,8 @@ DONE, LOST, FAILED, LEFT = 'done', 'lost', 'failed', 'not run'
 FAULT, TRACKING_LOST, DIED = 1, 4, 6  # exit codes of a row, beside those of errors
 SOURCES = ('.py', '.cpp', '.hpp')
 NO_PART = {'nodes', 'launch', 'simulation', 'batch'}  # of what gives a run's results
+#: names of unfinished folders before PART: the run's, the call's and the number of the try
+BEGUN = '*.' + 8 * '[0-9a-f]' + '-[0-9]*'
 SOON = 3.0  # s, time to contact of an obstacle that counts as a hazard
 
 Row = dict[str, Any]
@@ -100,7 +102,7 @@ def is_finished(row: Row) -> bool:
     return row['status'] in (DONE, LOST)
 
 
-def remains(output: Path, name: str = '*') -> list[Path]:
+def remains(output: Path, name: str = BEGUN) -> list[Path]:
     """Return the folders of runs that were not finished."""
     return [path for path in output.glob(f'{name}{whole_files.PART}') if path.is_dir()]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import signal
 
 from mv_slapse.errors import UsageError
-from mv_slapse.tools.batch import scheduling, task
+from mv_slapse.tools.batch import places, scheduling, task
 from mv_slapse.tools.batch.manifest import Recording
 from mv_slapse.tools.batch.workers import open_pool, Workers
 import pytest
@@ -81,13 +81,22 @@ def test_what_needs_too_much_memory_is_tried_three_times_and_said(items, tmp_pat
 
 
 def test_a_folder_serves_one_call_at_a_time(tmp_path):
-    (tmp_path / 'a.mp4.call-0.part').mkdir()
+    (tmp_path / 'a.mp4.0123abcd-0.part').mkdir()
+    (tmp_path / 'a.mp4.0123abcd-0.old.part').mkdir()
     with scheduling.claimed(tmp_path):
         assert not task.remains(tmp_path)
         with pytest.raises(UsageError, match='another call'), scheduling.claimed(tmp_path):
             pass
     with scheduling.claimed(tmp_path):
         pass
+
+
+def test_a_folder_of_others_is_not_cleared(tmp_path):
+    for name in ('night.part', 'drive.2024-1.part'):
+        (tmp_path / name).mkdir()
+    with scheduling.claimed(tmp_path):
+        assert {path.name for path in tmp_path.iterdir()} == {
+            'night.part', 'drive.2024-1.part', places.LOCK}
 
 
 def test_no_more_is_handed_over_than_workers_need(pool, tmp_path):
