@@ -27,14 +27,17 @@ def put_in_place(path: Path):
 def whole(path: str | Path, mode: str = 'w') -> Iterator[IO]:
     """Open a file to write; it takes its place at the end, and goes where that is not reached.
 
+    Text is UTF-8; what is none, as a file's name may be, is written as its escape.
+
     Raises
     ------
     UnusableOutput
         Where it cannot be written; an earlier file stays as it was.
     """
     path = Path(path)
+    text = {} if 'b' in mode else {'encoding': 'utf-8', 'errors': 'backslashreplace'}
     try:
-        with part_of(path).open(mode) as file:
+        with part_of(path).open(mode, **text) as file:
             yield file
         put_in_place(path)
     except OSError as error:

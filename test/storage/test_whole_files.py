@@ -22,6 +22,12 @@ def test_a_file_takes_its_place_when_it_is_whole(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ['a.txt']
 
 
+def test_text_is_utf_8_and_a_name_that_is_none_is_escaped(tmp_path):
+    path = tmp_path / 'a.txt'
+    whole_files.write_text(path, 'straße ' + os.fsdecode(b'stra\xdfe'))
+    assert path.read_bytes() == 'straße stra\\udcdfe'.encode()
+
+
 def test_an_old_file_stays_where_the_new_one_fails(tmp_path):
     path = tmp_path / 'a.txt'
     whole_files.write_text(path, 'old')

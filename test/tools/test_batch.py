@@ -77,6 +77,22 @@ def test_recordings_are_not_replaced_by_their_results(call, table, monkeypatch, 
     assert {path: path.read_bytes() for path in table.parent.iterdir()} == before
 
 
+def test_a_name_that_is_no_utf_8_costs_nobody_the_table(clip, tmp_path):
+    name = os.fsdecode(b'stra\xdfe')
+    (tmp_path / 'in').mkdir()
+    shutil.copy(clip.video, tmp_path / 'in' / f'{name}.mpg')
+    (tmp_path / 'in' / f'{name}.mp4').write_text('no video')
+    out = tmp_path / 'out'
+    done = run_alone('batch', tmp_path / 'in', '--camera', clip.camera, '-o', out, '--workers', 1)
+    text, err = done.communicate(timeout=60)
+    assert (done.returncode, err) == (5, '')
+    assert 'stra\\udcdfe.mp4 ' in text
+    assert '2 recordings: 1 done, 1 failed' in text
+    assert {row['input']: row['status'] for row in rows(out).values()} == {
+        f'{tmp_path}/in/stra\\udcdfe.mpg': 'done', f'{tmp_path}/in/stra\\udcdfe.mp4': 'failed'}
+    assert 'stra\\udcdfe.mpg' in (out / page.PAGE).read_text()
+
+
 def test_without_dask_it_says_what_to_install(call, clip, tmp_path, monkeypatch):
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, 'find_spec',
@@ -152,15 +168,20 @@ def _hears_ctrl_c():
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+def run_alone(*arguments):
+    """Start the command in a process of its own."""
+    paths = str(Path(__file__).resolve().parents[2]), os.environ.get('PYTHONPATH', '')
+    return subprocess.Popen([sys.executable, '-m', 'mv_slapse', *map(str, arguments)],
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                            preexec_fn=_hears_ctrl_c,
+                            env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths),
+                                 'PYTHONIOENCODING': 'utf-8:strict'})
+
+
 def test_what_is_interrupted_goes_on(table, tmp_path):
     out = tmp_path / 'out'
-    command = [sys.executable, '-m', 'mv_slapse', 'batch', str(table), '-o', str(out),
-               '--workers', '1', '--no-report',
-               '--sweep', 'extraction.seed=' + ','.join(map(str, range(20)))]
-    paths = str(Path(__file__).resolve().parents[2]), os.environ.get('PYTHONPATH', '')
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-                               text=True, preexec_fn=_hears_ctrl_c,
-                               env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)})
+    process = run_alone('batch', table, '-o', out, '--workers', 1, '--no-report',
+                        '--sweep', 'extraction.seed=' + ','.join(map(str, range(20))))
     end = time.monotonic() + 120
     while not list(out.glob('all,seed=*[0-9]/row.json')):
         assert process.poll() is None
