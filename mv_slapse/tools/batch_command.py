@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import TextIOWrapper
 import json
-import os
 from pathlib import Path
 import signal
 import sys
@@ -15,7 +14,14 @@ from mv_slapse.config import Settings
 from mv_slapse.tools.batch import page, places, scheduling, summary, task
 from mv_slapse.tools.batch.manifest import FILES, Recording, recordings
 from mv_slapse.tools.batch.task import Row
-from mv_slapse.tools.batch.workers import open_pool, Pool, require_dask, UnusableCluster, Workers
+from mv_slapse.tools.batch.workers import (
+    cores,
+    open_pool,
+    Pool,
+    require_dask,
+    UnusableCluster,
+    Workers,
+)
 from mv_slapse.tools.plain import plain
 from tqdm import tqdm
 
@@ -59,7 +65,7 @@ def _collect(args: argparse.Namespace, left: Sequence[Recording], output: Path,
     workers = Workers(args.workers or 0, memory_limit=args.memory_limit or '',
                       scheduler=args.scheduler or '')
     if not args.scheduler:  # more would only wait
-        workers = Workers(min(workers.count or os.cpu_count() or 1, len(left)),
+        workers = Workers(min(workers.count or cores(), len(left)),
                           memory_limit=workers.memory_limit)
     try:
         with open_pool(workers) as pool, _bar(args, pool, rows, len(left)) as tell:

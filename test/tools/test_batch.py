@@ -12,6 +12,7 @@ import sys
 import time
 
 from mv_slapse.tools.batch import page
+from mv_slapse.tools.batch.workers import UnusableCluster
 import pytest
 
 pytest.importorskip('distributed')
@@ -91,6 +92,19 @@ def test_a_name_that_is_no_utf_8_costs_nobody_the_table(clip, tmp_path):
     assert {row['input']: row['status'] for row in rows(out).values()} == {
         f'{tmp_path}/in/stra\\udcdfe.mpg': 'done', f'{tmp_path}/in/stra\\udcdfe.mp4': 'failed'}
     assert 'stra\\udcdfe.mpg' in (out / page.PAGE).read_text()
+
+
+def test_it_takes_the_cores_that_its_container_has(call, table, tmp_path, monkeypatch):
+    asked = []
+
+    def open_pool(workers):
+        asked.append(workers.count)
+        raise UnusableCluster('that is enough')
+
+    monkeypatch.setattr('dask.system.CPU_COUNT', 1)
+    monkeypatch.setattr('mv_slapse.tools.batch_command.open_pool', open_pool)
+    assert call('batch', table, '-o', tmp_path / 'out')[0] == 3
+    assert asked == [1]
 
 
 def test_without_dask_it_says_what_to_install(call, clip, tmp_path, monkeypatch):

@@ -208,6 +208,12 @@ def open_pool(workers: Workers) -> Iterator[Pool]:
         yield Pool(client)
 
 
+def cores() -> int:
+    """Return how many cores this process may use, as its container and affinity say."""
+    from dask.system import CPU_COUNT
+    return CPU_COUNT
+
+
 def worker_address() -> str:
     """Return the address of the worker that runs this, empty outside of one."""
     if importlib.util.find_spec('distributed') is None:
@@ -244,29 +250,40 @@ def _has_bokeh() -> bool:
 @contextmanager
 def _local_cluster(workers: Workers) -> Iterator[Any]:
     """Start processes of this machine that nobody from elsewhere can reach."""
-    from dask.utils import parse_bytes
     from distributed import LocalCluster
     from tornado.ioloop import PeriodicCallback
-    limit = workers.memory_limit or 'auto'
-    try:
-        too_small = limit != 'auto' and parse_bytes(limit) < LEAST_MEMORY
-    except ValueError:
-        raise UsageError(f'--memory-limit {limit!r} is no size; write it as 2GiB') from None
-    if too_small:
-        raise UsageError(f'--memory-limit {limit} is too little: a worker with its libraries '
-                         f'takes {LEAST_MEMORY >> 20} MiB before it has read anything')
+    count = workers.count or cores()
     with LocalCluster(
-            n_workers=0, threads_per_worker=1, processes=True, memory_limit=limit,
-            host=LOOPBACK, silence_logs=logging.CRITICAL,
+            n_workers=0, threads_per_worker=1, processes=True,
+            memory_limit=_memory(workers.memory_limit, count), host=LOOPBACK,
+            silence_logs=logging.CRITICAL,
             dashboard_address=f'{LOOPBACK}:{DASHBOARD if _has_bokeh() else 0}') as cluster:
         replacing = PeriodicCallback(partial(_replace, cluster), 1e3 * REPLACED)
         cluster.loop.add_callback(replacing.start)
         # Asked for only now, so that one that dies while it starts does not end the cluster.
-        cluster.scale(workers.count or os.cpu_count())
+        cluster.scale(count)
         try:
             yield cluster
         finally:
             cluster.loop.add_callback(replacing.stop)
+
+
+def _memory(limit: str, count: int) -> int:
+    """Return the bytes that each process may take: a given limit, or an equal share."""
+    from dask.utils import parse_bytes
+    from distributed.system import MEMORY_LIMIT
+    least = f'a worker takes {LEAST_MEMORY >> 20} MiB before it has read anything'
+    try:
+        size = parse_bytes(limit) if limit else MEMORY_LIMIT // count
+    except (ValueError, OverflowError):
+        raise UsageError(f'--memory-limit {limit!r} is no size; write it as 2GiB') from None
+    if size < LEAST_MEMORY and limit:
+        raise UsageError(f'--memory-limit {limit} is too little: {least}')
+    if size < LEAST_MEMORY:
+        raise UsageError(
+            f'{count} workers have {MEMORY_LIMIT >> 20} MiB together, and {least}; take at most '
+            f'{max(MEMORY_LIMIT // LEAST_MEMORY, 1)}, or give each more with --memory-limit')
+    return size
 
 
 def _replace(cluster: Any):

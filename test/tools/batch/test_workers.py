@@ -22,9 +22,28 @@ def test_a_missing_dask_is_told_with_its_cure(monkeypatch):
         pass
 
 
-@pytest.mark.parametrize(('limit', 'told'), [('much', 'no size'), ('10MiB', 'too little')])
+@pytest.mark.parametrize(('limit', 'told'), [('much', 'no size'), ('1e400', 'no size'),
+                                              ('10MiB', 'too little')])
 def test_a_memory_limit_that_cannot_be_is_refused(limit, told):
     with pytest.raises(UsageError, match=told), open_pool(Workers(1, memory_limit=limit)):
+        pass
+
+
+@pytest.mark.parametrize(('given', 'count'), [(1, 1), (0, 3)])
+def test_all_the_memory_is_shared_by_the_workers_that_there_are(monkeypatch, given, count):
+    monkeypatch.setattr('dask.system.CPU_COUNT', 3)
+    monkeypatch.setattr('distributed.system.MEMORY_LIMIT', 3 << 30)
+    with open_pool(Workers(given)) as pool:
+        pool.submit('here', workers.worker_address)
+        assert len(list(pool.results())) == 1
+        found = pool._client.scheduler_info()['workers'].values()
+    assert {worker['memory_limit'] for worker in found} == {(3 << 30) // count}
+
+
+def test_shares_that_are_too_small_are_refused_with_what_to_do(monkeypatch):
+    monkeypatch.setattr('distributed.system.MEMORY_LIMIT', 1 << 30)
+    told = '4 workers have 1024 MiB together.* take at most 3, or'
+    with pytest.raises(UsageError, match=told), open_pool(Workers(4)):
         pass
 
 
