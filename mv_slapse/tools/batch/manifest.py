@@ -19,6 +19,7 @@ from mv_slapse.storage import picture_folder
 from mv_slapse.storage.bag_reader import SUFFIXES as BAGS
 from mv_slapse.storage.whole_files import PART
 from mv_slapse.tools import settings_arguments
+from mv_slapse.tools.batch.places import is_left
 
 VIDEOS = ('.264', '.3gp', '.avi', '.flv', '.h264', '.m2ts', '.m2v', '.m4v', '.mkv', '.mov', '.mp4',
           '.mpeg', '.mpg', '.mts', '.ts')
@@ -83,7 +84,8 @@ def recordings(inputs: Sequence[str], like: Recording, sweeps: Sequence[str], ou
     sweeps : sequence of str
         ``section.name=value,value``: each multiplies the runs.
     output : Path
-        Not looked for recordings.
+        Not looked for recordings; an input that is this folder, or what a batch has left in it,
+        is passed over, as a pattern may match it, too.
     code : str
         Names the state of the code.
 
@@ -92,7 +94,11 @@ def recordings(inputs: Sequence[str], like: Recording, sweeps: Sequence[str], ou
     UsageError, UnusableInput
         Where an input does not exist, holds no recording, or a table is wrong.
     """
+    output = output.resolve()
     found = [item for text in inputs for item in _found(text, like, output)]
+    if not found:
+        raise UsageError(f'{", ".join(inputs)}: there is nothing but {output}, where the results '
+                         'go; give recordings, or another folder with -o')
     settings = [list(_swept(text)) for text in sweeps]
     rows = [_with(item, values) for item in found for values in product(*settings)]
     return [_identified(row, code) for row in _named(rows)]
@@ -104,14 +110,15 @@ def _found(text: str, like: Recording, output: Path) -> Iterator[Recording]:
     if not paths:
         raise UsageError(f'nothing matches {text}; check the pattern')
     for path in map(Path, paths):
+        if is_left(path, output):
+            continue
         if not path.exists():
             raise UsageError(f'there is no {path}; give a video, bag, folder, pattern or table')
         if path.suffix == TABLE:
             yield from read_table(path, like)
         elif path.is_dir() and not _is_one(path):
-            inside = sorted(item for item in _inside(path) if output.resolve() not in
-                            item.resolve().parents)
-            if not inside:
+            inside = sorted(item for item in _inside(path) if output not in item.resolve().parents)
+            if not inside and path.resolve() not in (output, *output.parents):
                 raise UsageError(f'{path} holds neither videos nor bags; give a pattern such as '
                                  f'{path}/*.xyz where their names end otherwise')
             yield from (replace(like, input=str(item), name=_slug(item.relative_to(path)))

@@ -5,10 +5,23 @@ import os
 from pathlib import Path
 
 from mv_slapse.errors import UnusableOutput, UsageError
+from mv_slapse.storage.whole_files import PART
 
 ROW = 'row.json'  # in each run's folder
 TABLE, PAGE = 'batch.csv', 'batch.html'
 LOCK = '.lock'  # in each folder that a batch has written
+#: names of unfinished folders before PART: the run's, the call's and the number of the try
+BEGUN = '*.' + 8 * '[0-9a-f]' + '-[0-9]*'
+
+
+def is_left(path: Path, output: Path) -> bool:
+    """Return whether a path is what a batch has left in a resolved folder, or lies in that."""
+    path = path.resolve()
+    if output not in path.parents:
+        return False
+    first = output / path.relative_to(output).parts[0]
+    return (first.name in (TABLE, PAGE, LOCK) or first.match(BEGUN + PART)
+            or (first / ROW).exists())
 
 
 def check(output: Path, names: Iterable[str], read: Iterable[str]):

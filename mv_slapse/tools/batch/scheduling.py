@@ -11,7 +11,7 @@ from mv_slapse.errors import MvSlapseError, UsageError
 from mv_slapse.storage import whole_files
 from mv_slapse.tools.batch import task
 from mv_slapse.tools.batch.manifest import Recording
-from mv_slapse.tools.batch.places import LOCK
+from mv_slapse.tools.batch.places import BEGUN, LOCK
 from mv_slapse.tools.batch.task import Row
 from mv_slapse.tools.batch.workers import died, Pool
 
@@ -47,7 +47,7 @@ def claimed(output: Path) -> Iterator[None]:
         yield
 
 
-def clear(output: Path, name: str = task.BEGUN):
+def clear(output: Path, name: str = BEGUN):
     """Remove what runs have begun and not finished."""
     for part in task.remains(output, name):
         shutil.rmtree(part, ignore_errors=True)

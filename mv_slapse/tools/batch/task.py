@@ -25,7 +25,7 @@ from mv_slapse.storage.tum import read_trajectory
 from mv_slapse.tools import run as running
 from mv_slapse.tools import run_summary
 from mv_slapse.tools.batch.manifest import Recording
-from mv_slapse.tools.batch.places import check_replaceable, ROW
+from mv_slapse.tools.batch.places import BEGUN, check_replaceable, ROW
 from mv_slapse.tools.batch.workers import worker_address
 from mv_slapse.tools.eval import evaluate
 from mv_slapse.tools.history import History
@@ -38,8 +38,6 @@ DONE, LOST, FAILED, LEFT = 'done', 'lost', 'failed', 'not run'
 FAULT, TRACKING_LOST, DIED = 1, 4, 6  # exit codes of a row, beside those of errors
 SOURCES = ('.py', '.cpp', '.hpp')
 NO_PART = {'nodes', 'launch', 'simulation', 'batch'}  # of what gives a run's results
-#: names of unfinished folders before PART: the run's, the call's and the number of the try
-BEGUN = '*.' + 8 * '[0-9a-f]' + '-[0-9]*'
 SOON = 3.0  # s, time to contact of an obstacle that counts as a hazard
 
 Row = dict[str, Any]

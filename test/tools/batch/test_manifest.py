@@ -51,6 +51,42 @@ def test_patterns_and_single_inputs_count_once(folder):
     assert names(found(folder / '*.mp4', folder / 'a.mp4', folder / 'bag')) == ['a.mp4', 'bag']
 
 
+@pytest.mark.parametrize('pattern', ['*', '*/*', '**'])
+@pytest.mark.parametrize('out', ['out', 'one/two/results', 'results/night'])
+def test_a_pattern_may_match_the_output_and_what_is_in_it(tmp_path, monkeypatch, pattern, out):
+    monkeypatch.chdir(tmp_path)
+    for name in ('one/a.mp4', 'one/two/b.mp4', 'c.mp4', 'd/d.mp4'):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    first = found(pattern, output=out)
+    for name in ('batch.csv', 'batch.html', '.lock', 'a.mp4/row.json', 'a.mp4/results.mcap',
+                 'b.mp4.0123abcd-0.part/results.mcap', 'image_0/row.json'):
+        (tmp_path / out / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / out / name).touch()
+    assert found(pattern, output=out) == first
+    expanded = sorted(map(str, tmp_path.glob('one/*'))), sorted(map(str, tmp_path.glob('*/*')))
+    assert all(names(found(*inputs, output=out)) for inputs in expanded)
+
+
+@pytest.mark.parametrize('given', ['out', 'out/a.mp4', 'out/a.mp4/results.mcap', 'out/*'])
+def test_the_output_alone_is_no_input(tmp_path, monkeypatch, given):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'out' / 'a.mp4').mkdir(parents=True)
+    for name in ('row.json', 'results.mcap'):
+        (tmp_path / 'out' / 'a.mp4' / name).touch()
+    with pytest.raises(UsageError, match='nothing but .*/out, where the results go'):
+        found(given, output='out')
+
+
+def test_a_recording_that_lies_in_the_output_is_run_where_it_is_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'night').mkdir()
+    (tmp_path / 'night' / 'a.mp4').touch()
+    (tmp_path / 'fleet.csv').write_text('input\nnight/a.mp4\n')
+    for given in ('fleet.csv', 'night/*', 'night/a.mp4'):
+        assert names(found(given, output='.')) == ['a.mp4']
+
+
 def test_two_of_one_name_get_names_that_stay(folder):
     shutil.copy(folder / 'a.mp4', folder / 'one' / 'a.mp4')
     both = found(folder / 'a.mp4', folder / 'one' / 'a.mp4')
