@@ -188,7 +188,7 @@ def _of_row(row: Mapping[str | None, Any], folder: Path, like: Recording) -> Rec
                          'section.name of a setting')
     if 'input' not in given:
         raise UsageError('it names no input')
-    files = {name: _beside(folder, given[name]) for name in FILES if name in given}
+    files = {name: _beside(folder, given[name], name) for name in FILES if name in given}
     name = given.get('name') or Path(given['input']).name
     return replace(
         like, **files, input=_beside(folder, given['input']), name=_slug(Path(name)),
@@ -196,9 +196,15 @@ def _of_row(row: Mapping[str | None, Any], folder: Path, like: Recording) -> Rec
         settings=_settings(given, folder, like.settings))
 
 
-def _beside(folder: Path, text: str) -> str:
+def _beside(folder: Path, text: str, column: str = 'input') -> str:
     """Return a file named in a table; topics and URLs stay what they are."""
-    return text if '://' in text else str(folder / text)
+    path = str(folder / text)
+    return text if '://' in text or _is_topic(path, column) else path
+
+
+def _is_topic(path: str, column: str) -> bool:
+    """Return whether a text names a topic, as ``run`` takes it: where there is no such file."""
+    return column == 'speed' and not os.path.isfile(path)
 
 
 def _count(given: Mapping[str, str], default: int) -> int:
@@ -251,15 +257,16 @@ def _named(rows: Iterable[Recording]) -> list[Recording]:
 
 def _identified(row: Recording, code: str) -> Recording:
     """Return a run with its size and its key, and with files that mean the same everywhere."""
-    files = {name: _absolute(getattr(row, name)) for name in ('input', *FILES)}
+    files = {name: _absolute(getattr(row, name), name) for name in ('input', *FILES)}
     stamps = [_stamp(file) for file in files.values()]
     row = replace(row, **files, size=stamps[0][0], code=code)
     said = replace(row, name='', swept='')
     return replace(row, key=_digest(json.dumps([asdict(said), stamps]))[:32])
 
 
-def _absolute(path: str) -> str:
-    return os.path.abspath(path) if path and '://' not in path else path
+def _absolute(path: str, column: str) -> str:
+    is_file = path and '://' not in path and not _is_topic(path, column)
+    return os.path.abspath(path) if is_file else path
 
 
 def _stamp(path: str) -> tuple[int, int]:

@@ -116,6 +116,21 @@ def test_a_table_says_how_each_is_run(folder):
     assert second.settings == Settings()
 
 
+def test_a_speed_is_a_topic_where_there_is_no_such_file(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    (folder / 'tables').mkdir()
+    (folder / 'tables' / 'rows.csv').write_text(
+        'input,speed\n../bag,odom\n../bag,/odom\n../bag,speeds.csv\n')
+    for text in ('odom', '/odom'):
+        assert found('bag', like=replace(PLAIN, speed=text))[0].speed == text
+    (folder / 'speeds.csv').touch()
+    assert found('bag', like=replace(PLAIN, speed='speeds.csv'))[0].speed == str(
+        folder / 'speeds.csv')
+    shutil.move('speeds.csv', 'tables')
+    assert [item.speed for item in found('tables/rows.csv')] == [
+        'odom', '/odom', str(folder / 'tables' / 'speeds.csv')]
+
+
 def test_sweeps_multiply(folder):
     items = found(folder / 'a.mp4', sweeps=['scene.camera_height=1.5,1.6', 'extraction.seed=1,2'])
     assert names(items) == ['a.mp4,camera_height=1.5,seed=1', 'a.mp4,camera_height=1.5,seed=2',
