@@ -77,7 +77,7 @@ def figures(obstacles: Table, stamps: np.ndarray, movers: Table | None, course: 
             ahead = hazards(movers)
             met = tracking.matched(confirmed(obstacles), movers, frames)
             found = _hazards_met(ahead, movers, met) | _others_met(ahead, movers, met)
-        rows = select(rows, ~tracking.on_movers(rows, movers, frames))
+        rows = select(rows, tracking.are_false(rows, movers, frames))
     if points is not None:
         rows = select(rows, ~hold_movers(rows, points))
     brakes = rows['stamp'][braked_for(rows, course)]

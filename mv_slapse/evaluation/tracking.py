@@ -78,7 +78,7 @@ def figures(obstacles: Table, stamps: np.ndarray, movers: Table, path: Trajector
             **_errors(rows, movers, matches, path, scale),
             'obstacle_nees': _nees(rows, movers, matches, scale, covariances or {}),
             'false_obstacles_per_frame':
-                float(np.sum(~on_movers(published(obstacles), movers, frames)))
+                float(np.sum(are_false(published(obstacles), movers, frames)))
                 / max(len(stamps), 1)}
 
 
@@ -210,6 +210,25 @@ def _nees(rows: Table, movers: Table, matches: list[Match], scale: float,
     return float(np.mean(found)) if found else None
 
 
+def are_false(rows: Table, movers: Table, frames: dict[int, int]) -> np.ndarray:
+    """Return which rows (N,) bool of obstacles lie on no mover.
+
+    One that coasts is none where the mover on which it was seen last is hidden, as it should be.
+    """
+    false = ~on_movers(rows, movers, frames)
+    for i in np.flatnonzero(false & (rows['state'] == 'coasting')):
+        seen = np.flatnonzero((rows['id'] == rows['id'][i]) & (rows['state'] == 'confirmed')
+                              & (rows['stamp'] < rows['stamp'][i]))
+        if len(seen):
+            last = seen[rows['stamp'][seen].argmax()]
+            there = select(movers, movers['stamp'] == frames.get(int(rows['stamp'][last]), -1))
+            covered = _on(boxes(select(rows, [last])), there)[0]
+            visible = movers['id'][movers['stamp'] == frames.get(int(rows['stamp'][i]), -1)]
+            own = covered.argmax() if covered.max(initial=0) >= ON_MOVER else None
+            false[i] = own is None or there['id'][own] in visible
+    return false
+
+
 def on_movers(rows: Table, movers: Table, frames: dict[int, int]) -> np.ndarray:
     """Return which rows (N,) bool of obstacles lie on a mover, seen to a macroblock.
 
@@ -219,10 +238,13 @@ def on_movers(rows: Table, movers: Table, frames: dict[int, int]) -> np.ndarray:
     for stamp in np.unique(rows['stamp']):
         mine = rows['stamp'] == stamp
         there = select(movers, movers['stamp'] == frames.get(int(stamp), -1))
-        outlines = boxes(there) + MACROBLOCK * np.array([-0.5, -0.5, 1.0, 1.0])
-        covered = _covered(boxes(select(rows, mine)), outlines)
-        found[mine] = covered.max(axis=1, initial=0) >= ON_MOVER
+        found[mine] = _on(boxes(select(rows, mine)), there).max(axis=1, initial=0) >= ON_MOVER
     return found
+
+
+def _on(parts: np.ndarray, there: Table) -> np.ndarray:
+    """Return the share (N, M) of boxes (N, 4) that lies on each of some movers."""
+    return _covered(parts, boxes(there) + MACROBLOCK * np.array([-0.5, -0.5, 1.0, 1.0]))
 
 
 def _covered(parts: np.ndarray, wholes: np.ndarray) -> np.ndarray:

@@ -97,6 +97,18 @@ def test_obstacles_are_false_where_no_mover_is_visible():
     assert figures(table(rows), movers(range(6)))['false_obstacles_per_frame'] == 14 / N
 
 
+@pytest.mark.parametrize(('elsewhere', 'false'), [(False, 0), (True, 3)])
+def test_an_obstacle_that_coasts_is_false_unless_its_mover_is_hidden(elsewhere, false):
+    rows = table([(k, 5, 32) for k in range(9)])
+    rows['state'] = np.where(np.arange(9) < 6, 'confirmed', 'coasting')
+    places = [(k, MOVER, 32) for k in range(6)] + [(k, MOVER, 500) for k in range(6, N)
+                                                   if elsewhere]
+    found = figures(rows, table(places))
+    assert found['false_obstacles_per_frame'] == false / N
+    rows['id'][6:] = 7  # nobody saw what this one is
+    assert figures(rows, table(places))['false_obstacles_per_frame'] == 3 / N
+
+
 def test_an_obstacle_before_another_car_is_not_that_car_too():
     true = table([(k, MOVER + i, 32 + 20 * i) for k in range(N) for i in (0, 1)])
     found = figures(table([(k, 5, 52) for k in range(N)]), true)
