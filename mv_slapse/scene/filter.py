@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from mv_slapse.blas import one_thread
 from mv_slapse.changed import replace
-from mv_slapse.config import SceneSettings
+from mv_slapse.config import SceneSettings, USUAL_HEIGHT
 from mv_slapse.filters import ekf
 from mv_slapse.geometry import rotation
 from mv_slapse.geometry.camera import UP
@@ -216,11 +216,11 @@ class SceneFilter:
             scene_state.renew(state, settings.relief)
         ground = self._map.ground
         if ground in state.planes:
-            # The road bends below the vehicle, so about its place; a vehicle's camera rides some
-            # 1.5 m high, which tells metres where the scale is free.
+            # The road bends below the vehicle, so about its place; the usual height of a camera
+            # tells metres where the scale is free.
             scene_state.move_anchor(state, ground, state.previous.t)
             height = 1 / np.linalg.norm(state.planes[ground].plane)
-            metres = speed * dt * (1.0 if self._progress.metric else 1.5 / height)
+            metres = speed * dt * (1.0 if self._progress.metric else USUAL_HEIGHT / height)
             scene_state.bend(state, ground, settings.ground_slope * np.sqrt(metres))
 
     def _coast(self, dt: float, start: int):
