@@ -272,16 +272,17 @@ def _memory(limit: str, count: int) -> int:
     """Return the bytes that each process may take: a given limit, or an equal share."""
     from dask.utils import parse_bytes
     from distributed.system import MEMORY_LIMIT
-    least = f'a worker takes {LEAST_MEMORY >> 20} MiB before it has read anything'
     try:
         size = parse_bytes(limit) if limit else MEMORY_LIMIT // count
     except (ValueError, OverflowError):
         raise UsageError(f'--memory-limit {limit!r} is no size; write it as 2GiB') from None
     if size < LEAST_MEMORY and limit:
-        raise UsageError(f'--memory-limit {limit} is too little: {least}')
+        raise UsageError(f'--memory-limit {limit} is too little: a worker with its libraries '
+                         f'takes {LEAST_MEMORY >> 20} MiB before it has read anything')
     if size < LEAST_MEMORY:
         raise UsageError(
-            f'{count} workers have {MEMORY_LIMIT >> 20} MiB together, and {least}; take at most '
+            f'{count} workers have {MEMORY_LIMIT >> 20} MiB together, and each takes '
+            f'{LEAST_MEMORY >> 20} MiB before it has read anything; start at most '
             f'{max(MEMORY_LIMIT // LEAST_MEMORY, 1)}, or give each more with --memory-limit')
     return size
 

@@ -42,7 +42,7 @@ def test_all_the_memory_is_shared_by_the_workers_that_there_are(monkeypatch, giv
 
 def test_shares_that_are_too_small_are_refused_with_what_to_do(monkeypatch):
     monkeypatch.setattr('distributed.system.MEMORY_LIMIT', 1 << 30)
-    told = '4 workers have 1024 MiB together.* take at most 3, or'
+    told = '4 workers have 1024 MiB together.* start at most 3, or'
     with pytest.raises(UsageError, match=told), open_pool(Workers(4)):
         pass
 
