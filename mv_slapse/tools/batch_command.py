@@ -3,7 +3,6 @@
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from io import TextIOWrapper
 import json
 from pathlib import Path
 import signal
@@ -120,7 +119,5 @@ def _tell(args: argparse.Namespace, rows: Sequence[Row], output: Path, code: int
                                    'output': str(output)}
         print(json.dumps(content | ({'error': message} if message else {})))
     elif not args.quiet:
-        if isinstance(sys.stdout, TextIOWrapper):  # names need not be of the terminal's letters
-            sys.stdout.reconfigure(errors='backslashreplace')
         print(summary.text(rows, output))
     return code

@@ -7,6 +7,7 @@ for most of the input, 5 some recordings of a batch failed, 130 interrupted.
 
 import argparse
 from collections.abc import Sequence
+from io import TextIOWrapper
 import json
 import os
 import shlex
@@ -23,6 +24,9 @@ FAULT, LOST, INTERRUPTED = 1, 4, 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # names need not be of the terminal's letters
+            stream.reconfigure(errors='backslashreplace')
     made = parser()
     if '_ARGCOMPLETE' in os.environ:  # the shell asks what may follow, and nothing else is done
         import argcomplete
