@@ -13,6 +13,7 @@ NAL_SLICE, NAL_IDR, NAL_SEI, NAL_SPS, NAL_PPS = 1, 5, 6, 7, 8
 SEI_RECOVERY_POINT = 6
 HIGH_PROFILES = (100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135)
 LONGEST_SET = 1024  # bytes of a parameter set; the longest of real encoders have a tenth
+MOST_UNITS = 2048  # of a packet that are told apart; a picture has fewer slices
 LONGEST_CODE = 32  # zeros before an Exp-Golomb number, H.264 9.1
 COUNTER_BITS = range(4, 17)  # of frame_num and of the picture order, H.264 7.4.2.1.1
 LAST_PPS = 255  # greatest pic_parameter_set_id, H.264 7.4.2.2
@@ -90,7 +91,12 @@ def nal_units(data: bytes) -> list[bytes]:
     prefixed = _length_prefixed(data)
     if prefixed or START not in data[:4]:
         return prefixed
-    return [unit.rstrip(b'\x00') for unit in data.split(START) if unit.strip(b'\x00')]
+    return [unit.rstrip(b'\x00') for unit in data.split(START, MOST_UNITS) if unit.strip(b'\x00')]
+
+
+def has_slice(data: bytes) -> bool:
+    """Return whether an H.264 packet holds some of a picture, not parameter sets alone."""
+    return any(unit and NAL_SLICE <= unit[0] & 31 <= NAL_IDR for unit in nal_units(data))
 
 
 def _length_prefixed(data: bytes) -> list[bytes]:
@@ -101,6 +107,8 @@ def _length_prefixed(data: bytes) -> list[bytes]:
     units, at = [], 0
     while at + 4 < len(data):
         size = int.from_bytes(data[at:at + 4], 'big')
+        if not size:
+            return []
         units.append(data[at + 4:at + 4 + size])
         at += 4 + size
     return units if at == len(data) and all(units) else []

@@ -75,7 +75,8 @@ class CorrespondenceDecoder:
         else:
             pairs = self._merged(segment)
         if segment.kind is SegmentKind.PI and _supported(pairs[0]) < POOR * self._usual:
-            pairs = [self._bridged(segment) or pairs[0]]
+            bridged = self._bridged(segment)
+            pairs = pairs if bridged is None else [bridged]
         elif segment.kind is not SegmentKind.BROKEN and is_untrue(segment):
             pairs = [self._searched(segment) or self._broken(replace(
                 segment, kind=SegmentKind.BROKEN, reason=UNTRUE))]

@@ -37,10 +37,21 @@ def collect(segment: Segment, settings: DecoderSettings) -> Evidence:
     joined to indirect evidence; the later end is where it lies in key frame k.
     """
     parts = [compiled.indirect(kernel_frame(frame), *_bend(segment, frame, settings))
-             for frame in segment.between]
+             for frame in _joining(segment)]
     if segment.current.frame_type is FrameType.P:
         parts.insert(0, compiled.direct(kernel_frame(segment.current)))
     return Evidence(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _joining(segment: Segment) -> tuple[FrameVectors, ...]:
+    """Return the B frames whose two vectors join the key frames: in a pyramid its top alone.
+
+    The others join one key frame and the top, half as far. Where headers tell nothing all pass
+    for references.
+    """
+    tops = tuple(frame for frame in segment.between if frame.is_reference)
+    is_pyramid = 0 < len(tops) < len(segment.between)
+    return tops[(len(tops) - 1) // 2:][:1] if is_pyramid else segment.between
 
 
 def is_ambiguous(segment: Segment) -> bool:

@@ -34,13 +34,19 @@ def codec_of(packet: Packet) -> str:
     return packet.codec if packet.extradata else bitstream.codec_of(packet.data, packet.codec)
 
 
+def _opened(packet: Packet) -> str:
+    """Return the codec by which a packet is decoded: bytes do not tell MPEG-1 from MPEG-2."""
+    codec = codec_of(packet)
+    return packet.codec if {codec, packet.codec} == {'mpeg1video', 'mpeg2video'} else codec
+
+
 class FrameDecoder:
     """Decodes packets, one after another, and reads the vectors of each picture."""
 
     def __init__(self, with_luma: bool, of_all: bool = False):
         """Open nothing until the first packet tells the codec; luma of key pictures or of all."""
         self._with_luma, self._of_all = with_luma, with_luma and of_all
-        self._context = None
+        self._context, self._codec = None, ''
         self._headers = bitstream.Headers()
         self._places = places.Places()
         self._stamps, self._continuity = _Stamps(), Continuity()
@@ -73,7 +79,7 @@ class FrameDecoder:
         if any(packet.stamp == other.stamp and packet == other for other in self._recent):
             return []  # a copy would move everything once more
         self._recent.append(packet)
-        if self._context is None:
+        if self._context is None or self._begins_another(packet):
             self._open(packet)
         return self._decode(self._wrap(packet))
 
@@ -86,12 +92,16 @@ class FrameDecoder:
         echo = self._last_key and self._context.name != 'h264'
         return (self._decode(numbered(self._last_key, 0)) if echo else []) + self._decode(None)
 
+    def _begins_another(self, packet: Packet) -> bool:
+        """Tell whether a publisher goes on in another codec, from a key picture on."""
+        return _opened(packet) != self._codec and packet.is_key
+
     def _open(self, packet: Packet):
-        codec = codec_of(packet)
-        if {codec, packet.codec} == {'mpeg1video', 'mpeg2video'}:
-            codec = packet.codec
+        self._codec = codec = _opened(packet)
         check_codec(codec)
-        self._context = av.CodecContext.create(codec, 'r')
+        if self._context is not None:
+            self._continuity.report(self._count, 'the codec changed')
+        self._context, self._headers = av.CodecContext.create(codec, 'r'), bitstream.Headers()
         self._places = places.places_of(codec, self._headers, packet.extradata)
         if packet.extradata:
             self._context.extradata = packet.extradata
@@ -120,8 +130,9 @@ class FrameDecoder:
         except av.error.EOFError:
             return []
         except av.error.FFmpegError as error:
-            self._continuity.report(
-                self._count, f'a packet could not be decoded ({error.strerror or error})')
+            if self._context.name != 'h264' or bitstream.has_slice(bytes(wrapped)):
+                self._continuity.report(
+                    self._count, f'a packet could not be decoded ({error.strerror or error})')
             self._stamps.drop(self._count)
             return []
         read = [self._read(picture) for picture in pictures if picture.pts]
@@ -150,6 +161,7 @@ class FrameDecoder:
         table = columns(None if exported is None else np.frombuffer(exported, np.uint8))
         is_kept = self._of_all or self._with_luma and kind is not FrameType.B
         return FrameVectors(stamp, kind, picture.width, picture.height, references=references,
+                            is_reference=place.is_reference,
                             is_predicted=self._context.name == 'h264', damage=damage,
                             luma=_luma(picture) if is_kept else None, **table)
 

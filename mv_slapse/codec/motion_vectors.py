@@ -25,8 +25,9 @@ class FrameVectors:
     direction: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
     # (N, 2) uint8: block width and height [px]
     block: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.uint8))
-    # most pictures that a direction may mean; 1: every vector spans one key frame interval
+    # most pictures that a direction may mean; 1: the reference picture before, or the one after
     references: int = 1
+    is_reference: bool = True  # whether others may be predicted from it
     # whether vectors are coded against the median of those around, as in H.264
     is_predicted: bool = False
     damage: str = ''  # why the vectors cannot be joined to the pictures before, else empty

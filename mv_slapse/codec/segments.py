@@ -6,6 +6,7 @@ from mv_slapse.codec.motion_vectors import FrameVectors
 from mv_slapse.records import FrameType, SegmentKind
 
 SHORTEST = 100_000  # ns between pictures; no camera takes 10,000 a second
+MOST_BETWEEN = 64  # B frames that are kept: no encoder has more in a row
 LONGEST = 1_000_000_000  # ns between key frames; no encoder searches so far
 
 
@@ -18,7 +19,8 @@ class Segment:
     between: tuple[FrameVectors, ...]  # the B frames, in order of presentation
     kind: SegmentKind  # IP, PP, PI, or BROKEN where nothing joins the two
     reason: str = ''  # why it is BROKEN, else empty
-    is_torn: bool = False  # by damage or a loss: nothing, the pictures neither, can join it then
+    # by damage or a loss, its own or one that its pictures still show: no search can join it then
+    is_torn: bool = False
 
 
 class SegmentBuilder:
@@ -29,26 +31,33 @@ class SegmentBuilder:
         self._previous: FrameVectors | None = None
         self._between: list[FrameVectors] = []
         self._damage = ''
+        self._is_displaced = False  # what a lost picture would have moved, up to a whole I frame
 
     def add(self, frame: FrameVectors) -> Segment | None:
         """Return the segment that ends with this picture, None where it ends none."""
+        # The next P frame's vectors skip one that is no reference, as temporal layers have.
+        joins = frame.frame_type is FrameType.I or (
+            frame.frame_type is FrameType.P and frame.is_reference)
         if self._previous is None:
-            self._previous = None if frame.frame_type is FrameType.B else frame
+            self._previous = frame if joins else None
             return None
         last = self._between[-1] if self._between else self._previous
         if frame.stamp - last.stamp < SHORTEST:
             self._damage = 'time stamps do not increase'
         self._damage = self._damage or frame.damage
         if frame.frame_type is FrameType.B:
-            self._between.append(frame)
+            if len(self._between) < MOST_BETWEEN:  # else the stream is none that could be joined
+                self._between.append(frame)
             return None
-        return self._close(frame)
+        return self._close(frame) if joins else None
 
     def _close(self, frame: FrameVectors) -> Segment:
         previous, between = self._previous, tuple(self._between)
         reason = self._damage or _why_broken(previous, between, frame)
         kind = SegmentKind.BROKEN if reason else kind_of(previous, frame)
-        segment = Segment(previous, frame, between, kind, reason, bool(self._damage))
+        self._is_displaced |= bool(self._damage)
+        segment = Segment(previous, frame, between, kind, reason, self._is_displaced)
+        self._is_displaced &= frame.frame_type is not FrameType.I or bool(frame.damage)
         self._previous, self._between, self._damage = frame, [], ''
         return segment
 

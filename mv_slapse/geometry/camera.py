@@ -36,10 +36,11 @@ class Camera:
 def undistort(camera: Camera, x: np.ndarray) -> np.ndarray:
     """Return ideal pixels (N, 2) float64 of pixels (N, 2) seen through the lens."""
     x = np.asarray(x, float)
-    if not np.any(camera.distortion) or not len(x):
+    is_fisheye = camera.lens == 'equidistant'  # whose r = f theta is no pinhole's, whatever D is
+    if not len(x) or not is_fisheye and not np.any(camera.distortion):
         return x.copy()
-    if camera.lens == 'equidistant':
-        return cv2.fisheye.undistortPoints(x[:, None], camera.K, camera.distortion,
+    if is_fisheye:
+        return cv2.fisheye.undistortPoints(x[:, None], camera.K, camera.distortion[:4],
                                            P=camera.K)[:, 0]
     # OpenCV's own five iterations leave 0.2 px in the corners of a wide lens.
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-6)

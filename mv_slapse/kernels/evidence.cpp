@@ -18,7 +18,7 @@ struct Picture {
   In<float> x, displacement;
   In<std::int8_t> direction;
   In<std::uint8_t> block;
-  int columns, rows;  // cells, with a margin of two on each side
+  int columns, rows;  // cells, with a margin of one before and three behind
   int end;            // column beyond the last macroblock
   float rise;         // px, of a vector that equals its prediction; 0: unknown
 

@@ -226,6 +226,21 @@ def test_an_i_frame_whose_b_frames_tell_too_little_is_searched(rng, monkeypatch,
     assert np.median(np.abs(off)) < 0.5
 
 
+def test_halves_of_a_segment_stay_where_its_i_frame_is_not_found(rng, monkeypatch):
+    monkeypatch.setattr(decoder, 'POOR', 10.0)
+    merged = CorrespondenceDecoder._merged
+
+    def in_halves(self, segment):
+        pair, = merged(self, segment)
+        middle = (pair.stamp + pair.previous_stamp) // 2
+        return [replace(pair, stamp=middle), replace(pair, previous_stamp=middle)]
+
+    monkeypatch.setattr(CorrespondenceDecoder, '_merged', in_halves)
+    pairs = decoded(packets(rng, MPEG2, 17), replace(EACH, split_flow=1e6, bridge_intra=False))
+    assert [pair.previous_stamp for pair in pairs[1:]] == [pair.stamp for pair in pairs[:-1]]
+    assert len(pairs) == 8
+
+
 @pytest.mark.parametrize('encoding', ENCODINGS)
 def test_the_probability_of_a_vector_follows_the_stream(rng, encoding):
     pairs = decoded(packets(rng, encoding, 40), replace(EACH, lone_probability=0.0,

@@ -108,3 +108,17 @@ def test_only_several_references_are_ambiguous():
     assert not is_ambiguous(segment(b_frame(200)))
     assert is_ambiguous(segment(b_frame(200, references=2)))
     assert is_ambiguous(segment(current=frame(400, FrameType.P, (-1, MOTION), references=3)))
+
+
+def test_of_a_pyramid_only_the_top_joins_the_key_frames():
+    """The frames beside it have vectors half as long, from one key frame to the top."""
+    def half(stamp):
+        return frame(stamp, FrameType.B, (-1, 0.25 * MOTION), (1, -0.25 * MOTION),
+                     is_reference=False)
+
+    top = b_frame(200, is_reference=True)
+    evidence = collect(segment(half(100), top, half(300), current=frame(400, FrameType.I)),
+                       SETTINGS)
+    np.testing.assert_allclose(evidence.vector, np.tile(MOTION, (len(GRID), 1)), atol=1e-5)
+    untold = collect(segment(b_frame(100), b_frame(200), b_frame(300)), SETTINGS)
+    assert len(untold) == 4 * len(GRID)

@@ -5,7 +5,7 @@ from io import BytesIO
 from itertools import pairwise
 
 import av
-from mv_slapse.codec.bitstream import Headers
+from mv_slapse.codec.bitstream import Headers, nal_units
 from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
 from mv_slapse.codec.frames import _Stamps, FrameDecoder
 from mv_slapse.codec.packet import Packet
@@ -29,6 +29,29 @@ def with_hole(packet):
     """Return a packet without 60 of its bytes, from a third of its length on."""
     at = len(packet.data) // 3
     return replace(packet, data=packet.data[:at] + bytes(60) + packet.data[at + 60:])
+
+
+def test_parameter_sets_alone_are_no_damage(rng):
+    coded = list(encode(pictures.sliding(rng, 12, (2, 1)), 25, Encoding('h264', 0, 6)))
+    units = nal_units(coded[0].data)
+    sets = b''.join(b'\x00\x00\x00\x01' + unit for unit in units if unit[0] & 31 in (7, 8))
+    with_sets = [one for packet in coded for one in (
+        [replace(packet, data=sets, is_key=False)] if packet.is_key else []) + [packet]]
+    assert len(with_sets) > len(coded)
+    frames = decoded(with_sets)
+    assert len(frames) == 12
+    assert not any(frame.damage for frame in frames)
+
+
+def test_a_publisher_may_go_on_in_another_codec(rng):
+    images = pictures.sliding(rng, 12, (2, 1))
+    later = [replace(packet, stamp=packet.stamp + 480_000_000)
+             for packet in encode(images, 25, Encoding('mpeg2video', 0, 6))]
+    frames = decoded([*encode(images, 25, Encoding('h264', 0, 6)), *later])
+    assert len(frames) >= 22
+    assert 'codec changed' in ' '.join(frame.damage for frame in frames)
+    assert not any(frame.damage for frame in frames[-8:])
+    assert sum(len(frame) > 0 for frame in frames[-8:]) > 5
 
 
 @pytest.mark.parametrize('encoding', ENCODINGS)

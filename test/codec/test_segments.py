@@ -1,5 +1,5 @@
 from mv_slapse.codec.motion_vectors import FrameVectors
-from mv_slapse.codec.segments import LONGEST, SegmentBuilder
+from mv_slapse.codec.segments import LONGEST, MOST_BETWEEN, SegmentBuilder
 from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
 import pytest
@@ -70,3 +70,23 @@ def test_key_frames_seconds_apart_are_not_joined():
     assert segment.kind is SegmentKind.BROKEN
     assert 'too far apart' in segment.reason
     assert segments('IPP', at2={'stamp': LONGEST + STEP})[1].kind is SegmentKind.PP
+
+
+def test_an_i_frame_is_not_searched_in_pictures_that_a_loss_has_displaced():
+    found = segments('IPPPIPI', at2={'damage': 'lost'})
+    assert [segment.is_torn for segment in found] == [False, True, True, True, False, False]
+    assert found[2].kind is SegmentKind.PP  # vectors join them all the same
+
+
+def test_a_p_frame_that_is_no_reference_ends_no_segment():
+    found = segments('IPPPP', at2={'is_reference': False})
+    assert [segment.current.stamp // STEP for segment in found] == [1, 3, 4]
+    assert [len(segment.between) for segment in found] == [0, 0, 0]
+    lost = segments('IPPPP', at2={'is_reference': False, 'damage': 'lost'})
+    assert lost[1].kind is SegmentKind.BROKEN
+
+
+def test_b_frames_without_end_are_not_all_kept():
+    segment, = segments('I' + 300 * 'B' + 'P')
+    assert len(segment.between) == MOST_BETWEEN
+    assert segment.kind is SegmentKind.BROKEN

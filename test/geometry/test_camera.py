@@ -42,6 +42,13 @@ def test_fisheye_distortion_is_the_angle_polynomial():
     np.testing.assert_allclose(seen, [[320 + 500 * theta * (1 + 0.1 * theta**2), 240]])
 
 
+def test_a_fisheye_without_coefficients_is_no_pinhole():
+    camera = Camera(640, 480, K, 'equidistant', np.zeros(4))
+    theta = 0.7
+    ideal = undistort(camera, np.array([[320 + 500 * theta, 240.0]]))
+    np.testing.assert_allclose(ideal, [[320 + 500 * np.tan(theta), 240]], atol=1e-6)
+
+
 def test_without_distortion_pixels_stay_bit_for_bit(pixels):
     camera = Camera(640, 480, K)
     for function in (distort, undistort):
