@@ -46,11 +46,11 @@ def collect(segment: Segment, settings: DecoderSettings) -> Evidence:
 def _joining(segment: Segment) -> tuple[FrameVectors, ...]:
     """Return the B frames whose two vectors join the key frames: in a pyramid its top alone.
 
-    The others join one key frame and the top, half as far. Where headers tell nothing all pass
-    for references.
+    The others join one key frame and the top, half as far; with several reference pictures they
+    may mean both, which agreement tells. Where headers tell nothing all pass for references.
     """
     tops = tuple(frame for frame in segment.between if frame.is_reference)
-    is_pyramid = 0 < len(tops) < len(segment.between)
+    is_pyramid = 0 < len(tops) < len(segment.between) and not is_ambiguous(segment)
     return tops[(len(tops) - 1) // 2:][:1] if is_pyramid else segment.between
 
 
