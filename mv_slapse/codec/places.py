@@ -21,6 +21,7 @@ B_PICTURE, B_VOP = 3, 2
 TURN = 1024  # values of temporal_reference
 KEPT = 64  # packets: no encoder reorders farther, and none need wait longer for its picture
 LOST = 'pictures were lost'
+LATE = f'{LOST} (gap in the times of pictures)'  # or left out before they were coded
 
 
 class Rules(NamedTuple):
@@ -274,7 +275,7 @@ class Continuity:
             late |= self._times.is_late(place.time, follows)
         if follows is False:
             return f'{LOST} (gap in the count of pictures)'
-        return f'{LOST} (gap in the times of pictures)' if late else ''
+        return LATE if late else ''
 
     def _follows(self, last: Place, place: Place) -> bool | None:
         """Tell by counts whether a place is the next; None where they do not say."""

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from mv_slapse.codec.motion_vectors import FrameVectors
+from mv_slapse.codec.places import LATE
 from mv_slapse.records import FrameType, SegmentKind
 
 SHORTEST = 100_000  # ns between pictures; no camera takes 10,000 a second
@@ -55,8 +56,9 @@ class SegmentBuilder:
         previous, between = self._previous, tuple(self._between)
         reason = self._damage or _why_broken(previous, between, frame)
         kind = SegmentKind.BROKEN if reason else kind_of(previous, frame)
-        self._is_displaced |= bool(self._damage)
-        segment = Segment(previous, frame, between, kind, reason, self._is_displaced)
+        self._is_displaced |= self._damage not in ('', LATE)
+        segment = Segment(previous, frame, between, kind, reason,
+                          bool(self._damage) or self._is_displaced)
         self._is_displaced &= frame.frame_type is not FrameType.I or bool(frame.damage)
         self._previous, self._between, self._damage = frame, [], ''
         return segment

@@ -11,8 +11,8 @@ OBSTACLE, TUM = 'obstacles/test_motion_model.py', 'storage/test_tum.py'
 GEOMETRY = 'geometry'
 
 PLANTED = tuple((f'mv_slapse/{path}', old, new, tests) for path, old, new, tests in (
-    ('codec/frames.py', "self._continuity.report(\n                self._count, f'a packet",
-     "str(\n                f'a packet", FRAMES),
+    ('codec/frames.py', "self._continuity.report(\n                    self._count, f'a packet",
+     "str(\n                    f'a packet", FRAMES),
     ('codec/frames.py', 'damage = self._continuity.damage(picture.pts, stamp)',
      "damage = self._continuity.damage(picture.pts, stamp) and ''", FRAMES),
     ('codec/frames.py', "if getattr(picture, 'is_corrupt', False):", 'if False:', FRAMES),
@@ -79,8 +79,8 @@ PLANTED = tuple((f'mv_slapse/{path}', old, new, tests) for path, old, new, tests
     ('storage/yaml_files.py', 'if len(content) > largest:', 'if False:', YAML),
     ('geometry/calibration.py', '_check_focal_lengths(K.reshape(3, 3), size, origin)\n',
      'pass\n', YAML),
-    ('storage/whole_files.py', 'with part_of(path).open(mode) as file:',
-     'with path.open(mode) as file:', WHOLE),
+    ('storage/whole_files.py', 'with part_of(path).open(mode, **text) as file:',
+     'with path.open(mode, **text) as file:', WHOLE),
     ('storage/whole_files.py', '_remove(part_of(path))', 'pass', WHOLE),
     ('storage/results.py', "errors = [error for step in", 'errors = [] and [error for step in',
      RESULTS),
