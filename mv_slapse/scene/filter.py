@@ -31,13 +31,8 @@ import numpy as np
 
 START = 3.0  # factor on the random walk of the velocity while the camera starts to move
 SLOW = 0.1  # share of the highest speed that is guessed where a start shows no known plane
-STANDING = 'the camera stands still'
-TURNING = 'the camera turns on the spot'
-SCALELESS = ('no known plane is in view: the direction of the way is observed, its length is '
-             'predicted')
 WAITING = ('the ground, whose depth the camera\'s height tells in metres, has not been seen alike '
            f'in {scene_height.ENOUGH} successive pairs yet')
-CONTRADICTED = 'all known planes in view contradict the map'
 FREE_SIGMA = 100.0  # of a velocity nobody knows yet, in units/s
 FIRST_METRIC_SIGMA = 0.1  # of the ground's depth, or the way, in the pair that tells metres
 
@@ -115,6 +110,8 @@ class SceneFilter:
         elif status != MotionStatus.UNKNOWN and (
                 self._progress.is_astray or scene_gauge.is_vague(self._state)):
             self._begin_anew()
+        if self._progress.metric and status in scene_rest.RESTS and not self._progress.rested:
+            self._progress.stop = scene_rest.Stop(extraction.previous_stamp, self._state.velocity)
         if status == MotionStatus.STANDSTILL:
             return self._stand(extraction)
         if status == MotionStatus.ROTATION_ONLY:
@@ -169,7 +166,7 @@ class SceneFilter:
             state.error.P[prev, :] = state.error.P[cur, :]
             state.error.P[:, prev] = state.error.P[:, cur]
             state.error.lasting[prev] = state.error.lasting[cur]
-        return self._rested(extraction, STANDING)
+        return self._rested(extraction, scene_rest.STANDING)
 
     def _rested(self, extraction: Extraction, reason: str):
         """Note that the camera has not moved; planes out of view do not age meanwhile.
@@ -181,6 +178,9 @@ class SceneFilter:
         progress.carried &= not progress.refused
         progress.see(extraction.stamp)
         self._map.wait(extraction.stamp - extraction.previous_stamp)
+        if progress.stop and progress.stop.is_doubtful(extraction.stamp, self._settings):
+            return TrackingStatus.PREDICTED, scene_rest.ABRUPT
+        progress.stop = None
         return TrackingStatus.OK, reason
 
     def _turn(self, extraction: Extraction, dt: float):
@@ -193,12 +193,12 @@ class SceneFilter:
             self._state, motion.R_cur_from_prev, noise,
             started * scene_rest.reach(self._state) / focal, self._settings.focal_sigma)
         if not started:
-            return TrackingStatus.INITIALISING, TURNING
+            return TrackingStatus.INITIALISING, scene_rest.TURNING
         scene_state.halt(self._state, -rotation.log(motion.R_cur_from_prev) / dt, noise / dt**2)
         view = 2 * np.arctan(0.5 * extraction.width / focal)
         scene_ratio.turn(self._state, rotation.angle(motion.R_cur_from_prev) / view,
                          self._progress.metric)
-        return self._rested(extraction, TURNING)
+        return self._rested(extraction, scene_rest.TURNING)
 
     def _predict(self, dt: float):
         """Move the camera at constant velocity; the planes change along the way."""
@@ -303,7 +303,7 @@ class SceneFilter:
             self._progress.rested, self._progress.started = False, True
             return TrackingStatus.OK, ''
         return self._progress.unsupported(
-            extraction.stamp, CONTRADICTED if self.distances else SCALELESS)
+            extraction.stamp, scene_gate.CONTRADICTED if self.distances else scene_gate.SCALELESS)
 
     def _known(self, distances: dict[int, float]) -> set[int]:
         """Return the planes that are where they were predicted, by their squared distances."""

@@ -9,6 +9,9 @@ from mv_slapse.scene.progress import PATIENCE
 from mv_slapse.scene.state import log_baseline, SceneState
 import numpy as np
 
+CONTRADICTED = 'all known planes in view contradict the map'
+SCALELESS = ('no known plane is in view: the direction of the way is observed, its length is '
+             'predicted')
 RATIO_GATE = 10.8  # 99.9 % of chi-square with one degree of freedom
 
 

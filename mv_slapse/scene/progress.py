@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import Any
 
 from mv_slapse.records import TrackingStatus, WITH_POSE
 import numpy as np
@@ -24,7 +25,8 @@ class Progress:
     the depths; ``interval`` [s]: between the last two key frames; ``age`` [s]: since the camera
     first moved, ``told`` [s]: what that was when a ground told metres last; ``going`` [s]: since
     the camera started to move; ``place``: position (3,) that was published last; ``unit``: what
-    was one unit of length at the beginning [map unit].
+    was one unit of length at the beginning [map unit]; ``stop``: one that is
+    doubted (scale.rest.Stop).
     """
 
     stamp: int
@@ -41,6 +43,7 @@ class Progress:
     started: bool = False
     carried: bool = False
     rested: bool = False
+    stop: Any = None
     anew: bool = False
     resets: int = 0
     repairs: int = 0

@@ -4,6 +4,7 @@ from mv_slapse.geometry.rotation import norm
 from mv_slapse.records import MapPlane, ScaleStatus, SceneEstimate, TrackingStatus
 from mv_slapse.scene import gauge as scene_gauge
 from mv_slapse.scene.progress import Progress
+from mv_slapse.scene.scale.rest import ABRUPT
 from mv_slapse.scene.state import SceneState, UNIT
 import numpy as np
 
@@ -15,10 +16,11 @@ def estimate(state: SceneState, planes: tuple[MapPlane, ...], stamp: int, status
     turn = np.zeros((6, 6))
     turn[:3, 3:], turn[3:, :3] = UNIT, state.current.R
     pose = turn @ scene_gauge.covariance(state, 'current') @ turn.T
-    return SceneEstimate(
+    found = SceneEstimate(
         stamp, status, reason, state.current.R.copy(), state.current.t.copy(), pose,
         state.velocity.copy(), state.omega.copy(),
         scene_gauge.covariance(state, 'velocity', 'omega'),
         ScaleStatus.METRIC if progress.metric else ScaleStatus.UNKNOWN, progress.source, planes,
         norm(state.current.t - state.previous.t), progress.resets, progress.repairs,
         progress.unit)
+    return progress.stop.doubted(found) if reason == ABRUPT else found

@@ -248,3 +248,18 @@ def test_the_probability_of_a_vector_follows_the_stream(rng, encoding):
     first, last = pairs[0].probability.mean(), pairs[-1].probability.mean()
     assert last > first
     assert last > 0.7
+
+
+@pytest.mark.parametrize('noise', [0.0, 2.0])
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_a_picture_that_shows_nothing_tells_no_motion(rng, encoding, noise):
+    seen = pictures.sliding(rng, 12, STEP)
+    blank = [np.clip(16 + rng.normal(0, noise, seen[0].shape), 0, 255).astype(np.uint8)
+             for _ in range(12)]
+    pairs = decoded(list(encode([*seen, *blank], 25, encoding)), EACH)
+    dark = [pair for pair in pairs if pair.stamp > 480_000_000]
+    assert len(dark) >= 3
+    for pair in dark:
+        assert pair.kind is SegmentKind.BROKEN
+        assert 'a covered lens, darkness or fog' in pair.reason
+    assert all(pair.kind is not SegmentKind.BROKEN for pair in pairs if pair.stamp < 400_000_000)

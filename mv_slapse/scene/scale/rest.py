@@ -1,14 +1,48 @@
 """What stands in for a length where a camera has been at rest, or the ground is not seen yet."""
 
+from typing import NamedTuple
+
+from mv_slapse.changed import replace
+from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays
-from mv_slapse.records import Extraction, Label
+from mv_slapse.geometry.rotation import norm
+from mv_slapse.records import Extraction, Label, MotionStatus, SceneEstimate
 from mv_slapse.scene.state import plane_in_camera, SceneState
 import numpy as np
 
+STANDING = 'the camera stands still'
+TURNING = 'the camera turns on the spot'
+RESTS = (MotionStatus.STANDSTILL, MotionStatus.ROTATION_ONLY)  # where the camera does not move on
+ABRUPT = ('the picture stands still, but the camera moved too fast just before to have stopped: '
+          'the stream may be frozen')
+SUDDEN = 5.0  # standard deviations of the random walk of a speed by which it hardly changes
 LOW = 0.07  # tangent of the angle below the horizon: the ground within 14 camera heights
 SUPPOSED_SIGMA = 0.2  # of the log of a baseline so supposed: 4 to 12 % was met, and 50 % once
 ROAD = 1.5  # camera heights to either side, which a road is wide
+
+
+class Stop(NamedTuple):
+    """When [ns] a picture began to stand still, and the velocity (3,) in {W} just before [m/s]."""
+
+    stamp: int
+    velocity: np.ndarray
+
+    def is_doubtful(self, stamp: int, settings: SceneSettings) -> bool:
+        """Tell whether nothing could have stopped so soon as to be at rest at a stamp [ns].
+
+        A stream that freezes looks like a stop; the longer it lasts the more likely it is one.
+        """
+        brakes = SUDDEN * settings.acceleration * np.sqrt((stamp - self.stamp) * 1e-9)
+        return bool(norm(self.velocity) > brakes)
+
+    def doubted(self, scene: SceneEstimate) -> SceneEstimate:
+        """Return an estimate as unsure as the camera may have gone on."""
+        way = self.velocity * (scene.stamp - self.stamp) * 1e-9
+        pose, twist = scene.pose_covariance.copy(), scene.twist_covariance.copy()
+        pose[:3, :3] += np.outer(way, way)
+        twist[:3, :3] += np.outer(self.velocity, self.velocity)
+        return replace(scene, pose_covariance=pose, twist_covariance=twist)
 
 
 def supposed_baseline(extraction: Extraction, camera_height: float) -> float:
