@@ -29,8 +29,7 @@ PLANTED = tuple((f'mv_slapse/{path}', old, new, tests) for path, old, new, tests
      CONTINUITY),
     ('codec/places.py', 'if follows is False:\n            return f', 'if False:\n    '
      '        return f', CONTINUITY),
-    ('codec/places.py', "(gap in the times of pictures)' if late else ''",
-     "(gap in the times of pictures)' if False else ''", CONTINUITY),
+    ('codec/places.py', 'return LATE if late else', 'return LATE if False else', CONTINUITY),
     ('codec/places.py', 'if follows and self._is_turn(', 'if False and self._is_turn(',
      CONTINUITY),
     ('codec/places.py', 'return place.index - last.index == 1',
