@@ -108,7 +108,10 @@ def _distribution(rows: Sequence[Row], column: str, title: str) -> str:
         return ''
     figure = Figure(figsize=(4.2, 2.4), layout='constrained')
     axes = figure.subplots()
-    axes.hist(values, BINS, color=FOUND)
+    # Values that differ by rounding alone leave no room for bins between them.
+    span = max(np.ptp(values), 1e-6 * np.abs(values).max()) / 2 or 0.5
+    middle = (values.min() + values.max()) / 2
+    axes.hist(values, BINS, range=(middle - span, middle + span), color=FOUND)
     axes.axvline(np.median(values), color='black', lw=1)
     axes.set(ylabel='runs')
     return _image(figure, f'{title}: median {np.median(values):.4g}, 95 % below '
