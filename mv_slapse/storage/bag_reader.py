@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
 import os
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypeVar
 
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
@@ -184,15 +184,33 @@ class BagReader:
         yield from self._usable(topic, partial(video_messages.from_message, self.topics[topic]))
 
     def camera(self, video_topic: str) -> Camera | None:
-        """Return the camera whose ``camera_info`` belongs to a video topic; None without one.
+        """Return the camera of the ``camera_info`` beside a video topic; None in a bag without.
 
-        It is that of the first message that holds one. Raises UnusableInput where none does.
+        It is that of the first message that holds one.
+
+        Raises
+        ------
+        UnusableInput
+            Where no message does; where the bag has such topics elsewhere only, as they may be
+            those of other cameras.
         """
-        infos = [name for name, kind in self.topics.items() if kind == CAMERA_INFO]
+        infos = sorted(name for name, kind in self.topics.items() if kind == CAMERA_INFO)
         if not infos:
             return None
-        best = max(infos, key=lambda name: len(os.path.commonprefix([name, video_topic])))
-        return next(self._usable(best, fields.camera_from_message), None)
+        beside = next((name for name in self._beside(video_topic) if name in infos), None)
+        if beside is None:
+            raise UnusableInput(f'{self._path} has no camera_info beside {video_topic}; it has '
+                                f'{", ".join(infos)}, which may be of another camera; give the '
+                                'calibration of this one with --camera camera.yaml (a '
+                                'camera_info file)')
+        return next(self._usable(beside, fields.camera_from_message), None)
+
+    def _beside(self, video_topic: str) -> Iterator[str]:
+        """Yield the names that ``camera_info`` may have beside a video topic, likeliest first."""
+        base = PurePosixPath(video_topic)
+        yield str(base.with_name('camera_info'))
+        if self.topics[video_topic] != video_messages.IMAGE:  # base/transport is beside the base
+            yield str(base.parent.parent / 'camera_info')
 
     def speeds(self, topic: str) -> list[Speed]:
         """Return the speeds of a topic with the odometry of wheels.

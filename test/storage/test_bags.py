@@ -5,7 +5,7 @@ from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed
 from mv_slapse.storage.bag_reader import BagReader, is_bag
 from mv_slapse.storage.bag_writer import BagWriter, McapFile
-from mv_slapse.video_messages import FFMPEG_PACKET, packet_to_fields
+from mv_slapse.video_messages import FFMPEG_PACKET, IMAGE, packet_to_fields
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -87,6 +87,31 @@ def test_the_nearest_calibration_is_taken(tmp_path):
         fill(writer, ['/right/image/ffmpeg'])
     reader = BagReader(tmp_path / 'bag')
     assert reader.camera('/right/image/ffmpeg').K[0, 0] == other.K[0, 0]
+
+
+@pytest.mark.parametrize(('video', 'info', 'is_beside'), [
+    ('/camera/image_raw', '/camera/camera_info', True),
+    ('/camera/image_raw/ffmpeg', '/camera/camera_info', True),
+    ('/camera/image/compressed', '/camera/camera_info', True),
+    ('/video', '/camera_info', True),
+    ('/camera/image_raw', '/other/camera_info', False),
+    ('/camera/image_raw', '/camera_info', False),
+    ('/left/image_raw/ffmpeg', '/right/camera_info', False)])
+def test_a_calibration_that_is_not_beside_the_video_is_not_taken(tmp_path, video, info, is_beside):
+    kind = IMAGE if video.endswith('raw') else FFMPEG_PACKET
+    picture = {'header': fields.header(0, 'eye'), 'height': 1, 'width': 1, 'encoding': 'mono8',
+               'is_bigendian': 0, 'step': 1, 'data': np.zeros(1, np.uint8)}
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.write(info, 'sensor_msgs/msg/CameraInfo', camera_info(), 0)
+        writer.write(video, kind, picture if kind == IMAGE else
+                     packet_to_fields(packet(0, 0), (64, 48), 0, 'eye'), 0)
+    reader = BagReader(tmp_path / 'bag')
+    if is_beside:
+        assert reader.camera(video).width == 64
+        return
+    with pytest.raises(UnusableInput, match=f'no camera_info beside {video}; it has {info}, .*'
+                                            '--camera'):
+        reader.camera(video)
 
 
 def test_messages_that_cannot_be_used_are_left_out_and_counted(tmp_path):
