@@ -1,9 +1,18 @@
 """One picture on its way to the decoder, coded or not."""
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple
 
 import numpy as np
+
+
+class Form(NamedTuple):
+    """What a container knows of its pictures, which some codecs do not tell themselves."""
+
+    width: int  # [px]
+    height: int  # [px]
+    pix_fmt: str  # FFmpeg's name of the pixel format; empty where it is not known
+    codec_tag: str  # the container's four characters for the codec
 
 
 @dataclass(frozen=True)
@@ -17,6 +26,7 @@ class Packet:
     # vectors, which has to be recoded first
     codec: str
     extradata: bytes = b''  # parameter sets that are not in the stream (MP4), else empty
+    form: Form | None = field(default=None, compare=False)  # as its container tells it
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import select
 from typing import BinaryIO
 
 import av
-from mv_slapse.codec.packet import Packet
+from mv_slapse.codec.packet import Form, Packet
 from mv_slapse.errors import UnusableInput
 
 PROTOCOLS = 'rtsp,rtp,udp,tcp,http,https,tls,crypto'
@@ -71,11 +71,13 @@ class Source(AbstractContextManager):
         UnusableInput
             Where not even the first packet can be read.
         """
-        extradata = bytes(self._stream.codec_context.extradata or b'')
+        context = self._stream.codec_context
+        extradata = bytes(context.extradata or b'')
+        form = Form(context.width, context.height, context.pix_fmt or '', context.codec_tag)
         clock = _Clock(self._stream, self._rate)
         for packet in self._demux():
             yield Packet(bytes(packet), clock.stamp(packet), bool(packet.is_keyframe),
-                         self.codec, extradata)
+                         self.codec, extradata, form)
 
     def _demux(self) -> Iterator[av.Packet]:
         some = False

@@ -54,6 +54,12 @@ class PictureDecoder:
         self._context.options = {'max_pixels': str(MAX_PIXELS)}
         if packet.extradata:
             self._context.extradata = packet.extradata
+        if packet.form:  # raw video, FFV1 and WMV tell none of it in their packets
+            width, height, pix_fmt, codec_tag = packet.form
+            self._context.width, self._context.height = width, height
+            self._context.codec_tag = codec_tag
+            if pix_fmt:
+                self._context.pix_fmt = pix_fmt
 
     def _decode(self, wrapped: av.Packet | None) -> list[tuple[av.VideoFrame, int]]:
         try:

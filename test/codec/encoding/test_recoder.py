@@ -1,6 +1,8 @@
+import av
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.codec.encoding.recoder import PictureDecoder, Recoder
 from mv_slapse.codec.packet import Packet, Picture
+from mv_slapse.codec.source import open_source
 from mv_slapse.config import DecoderSettings, EncoderSettings
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.records import SegmentKind
@@ -38,6 +40,28 @@ def test_video_without_vectors_gives_the_motion_and_every_stamp(rng, codec):
     for pair in pairs:
         flow = np.median(pair.x_prev - pair.x_cur, axis=0)
         np.testing.assert_allclose(flow, SHIFT, atol=0.3)
+
+
+@pytest.mark.parametrize(('name', 'codec', 'pix_fmt'), [
+    ('a.avi', 'rawvideo', 'yuv420p'), ('a.avi', 'rawvideo', 'bgr24'),
+    ('a.y4m', 'wrapped_avframe', 'yuv420p'), ('a.mkv', 'ffv1', 'yuv420p'),
+    ('a.wmv', 'wmv2', 'yuv420p')])
+def test_codecs_that_only_a_container_describes_are_decoded(rng, tmp_path, name, codec, pix_fmt):
+    path = str(tmp_path / name)
+    with av.open(path, 'w') as file:
+        stream = file.add_stream(codec, 25, width=128, height=96, pix_fmt=pix_fmt)
+        for image in pictures.sliding(rng, 4, SHIFT):
+            frame = av.VideoFrame.from_ndarray(image[:96, :128].copy(), 'gray')
+            file.mux(stream.encode(frame.reformat(format=pix_fmt)))
+        file.mux(stream.encode())
+    with av.open(path) as file:
+        expected = [frame.to_ndarray(format='gray') for frame in file.decode(video=0)]
+    decoder = PictureDecoder()
+    with open_source(path) as source:
+        found = [frame for packet in source.packets() for frame, _ in decoder.feed(packet)]
+    found += [frame for frame, _ in decoder.flush()]
+    np.testing.assert_array_equal([frame.to_ndarray(format='gray') for frame in found], expected)
+    assert len(found) == 4
 
 
 @pytest.mark.parametrize('codec', [codec for codec in CODECS if codec != 'mjpeg'])
