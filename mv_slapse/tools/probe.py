@@ -89,11 +89,19 @@ def _findings(frames: list[FrameVectors], vectors: float, references: int, runs:
     damaged = sum(bool(frame.damage) for frame in frames)
     few = bool(frames) and 0 < vectors < MIN_VECTORS
     blind = any(runs) and not any(len(f) for f in frames if f.frame_type is FrameType.B)
+    short = bool(frames) and len(runs) < 2
+    first, *others = dict.fromkeys(f'{f.width}x{f.height}' for f in frames) or ['']
     no_b_and_i_frames = not any(runs) and sum(f.frame_type is FrameType.I for f in frames) > 1
     return [finding for applies, *finding in (
         (not frames, True, 'no picture could be decoded', 'check that the file is complete'),
-        (bool(frames) and not vectors, False, 'no picture has motion vectors; motion is searched '
-         'in the pictures instead', f'encode with P frames, {FOR_INSTANCE} -g 30 OUTPUT.mp4'),
+        (short, True, f'{len(frames)} pictures can be decoded, and no two key frames (I or P) '
+         'among them', 'give a longer video'),
+        (bool(others), True,
+         f'the pictures change their size from {first} to {", ".join(others)}',
+         'cut the video there, and give each part its own calibration'),
+        (not short and bool(frames) and not vectors, False, 'no picture has motion vectors; '
+         'motion is searched in the pictures instead',
+         f'encode with P frames, {FOR_INSTANCE} -g 30 OUTPUT.mp4'),
         (untrue, False, f'the vectors of {untrue} pictures are all zero though the pictures '
          'change; motion is searched in these instead',
          f'set the encoder to search for motion, {FOR_INSTANCE} OUTPUT.mp4'),

@@ -1,8 +1,10 @@
 from types import SimpleNamespace
 
 from mv_slapse.codec.encoding.encoder import Encoding, LOW_LATENCY, write_video
+from mv_slapse.codec.encoding.recoder import Recoder
+from mv_slapse.codec.packet import Picture
 from mv_slapse.codec.source import open_source
-from mv_slapse.tools.probe import probe, USABLE, WITH_CARE
+from mv_slapse.tools.probe import probe, UNUSABLE, USABLE, WITH_CARE
 import pictures
 import pytest
 from reliability import clips
@@ -51,6 +53,24 @@ def test_i_frames_alone_want_care_as_a_run_searches_in_the_pictures(probed):
     assert found.verdict == WITH_CARE
     assert found.share_with_vectors == 0
     assert 'no picture has motion vectors' in found.reasons[0]
+
+
+def test_a_single_picture_is_too_short_for_a_run(probed):
+    found = probed('a.mp4', Encoding('h264', 0, 30), n=1)
+    assert (found.verdict, found.advice) == (UNUSABLE, ('give a longer video',))
+    assert '1 pictures can be decoded, and no two key frames' in found.reasons[0]
+
+
+def test_pictures_that_change_their_size_are_refused_as_by_a_run(rng):
+    recoder = Recoder()
+    images = [*pictures.sliding(rng, 4, (2, 1)), *pictures.sliding(rng, 4, (2, 1), (320, 240))]
+    packets = [packet for i, image in enumerate(images)
+               for packet in recoder.feed(Picture(image, i * 40_000_000))] + recoder.flush()
+    found = probe(SimpleNamespace(codec='mpeg2video', width=256, height=192, fps=25,
+                                  packets=lambda: iter(packets)))
+    assert found.verdict == UNUSABLE
+    assert 'the pictures change their size from 256x192 to 320x240' in found.reasons
+    assert any('its own calibration' in text for text in found.advice)
 
 
 def test_an_encoder_that_does_not_search_is_told_from_a_camera_that_stands(probed):
