@@ -7,6 +7,8 @@ from mv_slapse.codec.places import LATE
 from mv_slapse.records import FrameType, SegmentKind
 
 SHORTEST = 100_000  # ns between pictures; no camera takes 10,000 a second
+NOT_STAMPED = ('time stamps do not increase; what publishes or records the pictures must stamp '
+               'each with its own time')
 MOST_BETWEEN = 64  # B frames that are kept: no encoder has more in a row
 LONGEST = 1_000_000_000  # ns between key frames; no encoder searches so far
 
@@ -44,7 +46,7 @@ class SegmentBuilder:
             return None
         last = self._between[-1] if self._between else self._previous
         if frame.stamp - last.stamp < SHORTEST:
-            self._damage = 'time stamps do not increase'
+            self._damage = NOT_STAMPED
         self._damage = self._damage or frame.damage
         if frame.frame_type is FrameType.B:
             if len(self._between) < MOST_BETWEEN:  # else the stream is none that could be joined

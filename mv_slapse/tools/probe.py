@@ -7,7 +7,7 @@ from itertools import islice
 from mv_slapse.codec.bridging import is_untrue
 from mv_slapse.codec.frames import FrameDecoder
 from mv_slapse.codec.motion_vectors import FrameVectors
-from mv_slapse.codec.segments import SegmentBuilder
+from mv_slapse.codec.segments import NOT_STAMPED, SegmentBuilder
 from mv_slapse.codec.source import Source
 from mv_slapse.records import FrameType
 
@@ -39,10 +39,11 @@ class Probe:
 def probe(source: Source, max_frames: int = 300) -> Probe:
     """Decode the first pictures of a source and say what they are good for."""
     decoder = FrameDecoder(with_luma=True)
-    segments, frames, untrue = SegmentBuilder(), [], 0
+    segments, frames, untrue, unstamped = SegmentBuilder(), [], 0, 0
     for frame in _read(source, decoder, max_frames):
         segment = segments.add(frame)
         untrue += segment is not None and not segment.reason and is_untrue(segment)
+        unstamped += segment is not None and segment.reason == NOT_STAMPED
         frames.append(replace(frame, luma=None))
     coded = [len(frame) for frame in frames if frame.frame_type is not FrameType.I]
     filled = [n for n in coded if n]
@@ -50,6 +51,10 @@ def probe(source: Source, max_frames: int = 300) -> Probe:
     runs = _runs(frames)
     references = max((frame.references for frame in frames), default=1)
     findings = _findings(frames, vectors, references, runs, decoder.interlaced, untrue)
+    if unstamped:
+        findings.append((unstamped == len(runs) - 1,
+                         f'of {unstamped} pairs of key frames the time stamps do not increase',
+                         'have what publishes or records the pictures stamp each with its time'))
     verdict = UNUSABLE if any(item[0] for item in findings) else (
         WITH_CARE if findings else USABLE)
     width, height = ((frames[0].width, frames[0].height) if frames

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from mv_slapse import heap
 from mv_slapse.codec.decoder import CorrespondenceDecoder
+from mv_slapse.codec.segments import NOT_STAMPED
 from mv_slapse.config import Settings
 from mv_slapse.errors import UnusableInput, UsageError
 from mv_slapse.geometry.calibration import fitted
@@ -325,6 +326,9 @@ def _checked(summary: Summary) -> Summary:
                             'and no two key frames (I or P) among them; give a longer video')
     if summary.broken_segments == n_pairs:
         reason = next(iter(summary.broken_reasons), 'unknown')
+        if reason == NOT_STAMPED:
+            raise UnusableInput(f'{summary.input}: none of {n_pairs} key frame pairs can be used: '
+                                f'{reason}')
         raise UnusableInput(f'{summary.input}: none of {n_pairs} key frame pairs has motion '
                             f'vectors ({reason}); re-encode the video with P frames, for instance '
                             'ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 OUTPUT.mp4')

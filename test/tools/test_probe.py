@@ -73,6 +73,18 @@ def test_pictures_that_change_their_size_are_refused_as_by_a_run(rng):
     assert any('its own calibration' in text for text in found.advice)
 
 
+@pytest.mark.parametrize(('n', 'verdict'), [(8, UNUSABLE), (3, WITH_CARE)])
+def test_pictures_that_are_not_stamped_are_told(rng, n, verdict):
+    recoder = Recoder()
+    packets = [packet for i, image in enumerate(pictures.sliding(rng, 8, (2, 1)))
+               for packet in recoder.feed(Picture(image, 40_000_000 * max(i + 1 - n, 0)))]
+    found = probe(SimpleNamespace(codec='mpeg2video', width=256, height=192, fps=25,
+                                  packets=lambda: iter(packets)))
+    assert found.verdict == verdict
+    assert f'of {n - 1} pairs of key frames the time stamps' in found.reasons[-1]
+    assert 'stamp each with its time' in found.advice[-1]
+
+
 def test_an_encoder_that_does_not_search_is_told_from_a_camera_that_stands(probed):
     found = probed('a.mpg', NO_SEARCH, n=7)
     assert found.verdict == WITH_CARE

@@ -140,6 +140,17 @@ def test_a_video_without_vectors_is_refused(rng, tmp_path):
         tool.run(tmp_path / 'intra.mpg', read_camera(camera_file), Settings(), tmp_path / 'out')
 
 
+def test_pictures_without_stamps_are_not_to_be_encoded_again(clip, tmp_path):
+    images = list(pictures(clip.video))[:4]
+    for i, image in enumerate(images):
+        cv2.imwrite(str(tmp_path / f'{i}.png'), image)
+    (tmp_path / 'times.txt').write_text('0.0\n' * 4)
+    with pytest.raises(UnusableInput, match='none of 3 key frame pairs can be used: time stamps '
+                                            'do not increase; what publishes') as refusal:
+        tool.run(tmp_path, read_camera(clip.camera), Settings(), tmp_path / 'out')
+    assert 're-encode' not in str(refusal.value)
+
+
 def test_a_video_needs_a_calibration(clip, tmp_path):
     with pytest.raises(UsageError, match='--camera camera.yaml'):
         tool.run(clip.video, None, Settings(), tmp_path)
