@@ -6,10 +6,12 @@ and any folder of pictures, in the order of their names, numbers by their value,
 rate.
 """
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 import csv
 from datetime import datetime, UTC
 from fnmatch import fnmatch
+from itertools import pairwise
 import os
 from pathlib import Path
 import re
@@ -29,6 +31,7 @@ CAMERAS = ('mav0/cam0', 'image_0', 'image_00', 'image_2', 'image_02', 'cam0')
 PICTURES = ('data', 'rgb')
 NUMBER = re.compile(r'%0?\d*d')
 DIGITS = re.compile('([0-9]+)')
+LONGEST_STEP = 10_000_000_000_000  # [ns] between pictures; milliseconds taken for seconds are less
 
 
 class Entry(NamedTuple):
@@ -102,6 +105,37 @@ def pictures(found: list[Entry]) -> Iterator[Picture]:
         yield Picture(image, stamp)
 
 
+def warning(found: list[Entry]) -> str:
+    """Return what the names of pictures show to be wrong with them, else an empty text."""
+    return '; '.join(filter(None, [_doubles(found), _gaps(found)]))
+
+
+def _doubles(found: list[Entry]) -> str:
+    counts = Counter(path.with_suffix('') for path, _ in found)
+    doubles = [path for path, count in counts.items() if count > 1]
+    if not doubles:
+        return ''
+    return (f'{len(doubles)} pictures are there with more than one suffix, the first is '
+            f'{doubles[0]}, and count as often; choose one kind by a pattern such as '
+            f'{doubles[0].parent}/%06d.png')
+
+
+def _gaps(found: list[Entry]) -> str:
+    """Tell of numbers that are left out, where the names differ in one number."""
+    names = [DIGITS.split(path.stem) for path, _ in found]
+    if min(map(len, names)) < 3 or len({(*name[:-2], name[-1]) for name in names}) > 1:
+        return ''
+    numbers = sorted({int(name[-2]) for name in names})
+    steps = [b - a for a, b in pairwise(numbers)]
+    usual = min(steps, default=1)
+    gaps = [number for number, step in zip(numbers, steps, strict=False) if step > usual]
+    if not 0 < len(gaps) < len(steps) / 2:
+        return ''
+    return (f'{found[0].path.parent}: the names of the pictures leave out numbers, first after '
+            f'{gaps[0]}; where pictures are missing, the times that a rate gives to the later '
+            'ones are too early')
+
+
 def _is_pattern(name: str) -> bool:
     return bool(NUMBER.search(Path(name).name)) and not os.path.exists(name)
 
@@ -134,8 +168,9 @@ def _listed(folder: Path) -> list[Entry] | None:
 
 def _by_name(folder: Path, pattern: str, rate: float) -> list[Entry]:
     inner = next((folder / name for name in PICTURES if (folder / name).is_dir()), folder)
-    paths = sorted((path for path in inner.iterdir() if path.suffix.lower() in SUFFIXES
-                    and fnmatch(path.name, pattern)), key=_in_order) if inner.is_dir() else []
+    paths = sorted((path for path in (inner.iterdir() if inner.is_dir() else ())
+                    if path.suffix.lower() in SUFFIXES and not path.name.startswith('.')
+                    and fnmatch(path.name, pattern)), key=_in_order)
     stamps = _times([inner, folder, folder.parent])
     if stamps is None:
         if paths and rate <= 0:
@@ -153,9 +188,24 @@ def _times(folders: list[Path]) -> list[int] | None:
     for folder in folders:
         for name, parse in (('times.txt', parse_stamp), ('timestamps.txt', _date)):
             if (folder / name).is_file():
-                lines = (folder / name).read_text().split('\n')
-                return [parse(line.strip()) for line in lines if line.strip()]
+                return _parsed(folder / name, parse)
     return None
+
+
+def _parsed(table: Path, parse: Callable[[str], int]) -> list[int]:
+    """Return the times [ns] of a table; UnusableInput names the line that is none."""
+    stamps = []
+    for number, line in enumerate(table.read_text().split('\n'), 1):
+        try:
+            stamps += [parse(line.strip())] if line.strip() else []
+        except (ValueError, ArithmeticError):
+            raise UnusableInput(f'{table}, line {number}: {line.strip()[:40]!r} is no time; give '
+                                'seconds, one line for each picture') from None
+    step = np.median(np.abs(np.diff(np.array(stamps, float)))) if len(stamps) > 1 else 0.0
+    if step > LONGEST_STEP:
+        raise UnusableInput(f'{table}: the times are {step / 1e9:g} s apart; give seconds, '
+                            'not nanoseconds or microseconds')
+    return stamps
 
 
 def _date(text: str) -> int:

@@ -87,7 +87,8 @@ def open_input(name: str, topic: str | None = None,
         return
     if picture_folder.is_folder(name):
         found = picture_folder.entries(name, encoder.rate if encoder else 0.0)
-        yield _begun(picture_folder.pictures(found), recoder, n_frames=len(found))
+        yield _begun(picture_folder.pictures(found), recoder, n_frames=len(found),
+                     warning=picture_folder.warning(found))
         return
     with open_source(name) as source:
         yield _begun(source.packets(), recoder, size=(source.width, source.height),

@@ -1,7 +1,11 @@
+import re
+
 import cv2
+from mv_slapse.config import EncoderSettings
 from mv_slapse.errors import UnusableInput
 from mv_slapse.storage import picture_folder
 from mv_slapse.storage.picture_folder import entries, Entry
+from mv_slapse.tools.inputs import open_input
 import numpy as np
 import pytest
 
@@ -90,10 +94,10 @@ def test_pictures_are_read_in_grey(tmp_path):
 
 
 @pytest.mark.parametrize(('name', 'content', 'match'), [
-    ('times.txt', '0.0\n', '2 pictures and 1 times'), ('times.txt', '0.0\nlate\n', 'cannot be'),
+    ('times.txt', '0.0\n', '2 pictures and 1 times'), ('times.txt', '0.0\nlate\n', 'is no time'),
     ('data.csv', '#time\n1\n', 'cannot be'), ('data.csv', 'x,1.png\n', 'cannot be'),
-    ('timestamps.txt', '2011-13-26 13:02:25.5\n', 'cannot be'),
-    ('times.txt', '1e400\n0\n', 'cannot be')])
+    ('timestamps.txt', '2011-13-26 13:02:25.5\n', 'is no time'),
+    ('times.txt', '1e400\n0\n', 'is no time')])
 def test_times_that_do_not_fit_are_refused(tmp_path, name, content, match):
     store(tmp_path, ['1.png', '2.png'])
     (tmp_path / name).write_text(content)
@@ -112,3 +116,33 @@ def test_what_is_no_picture_is_refused(tmp_path):
         (tmp_path / '1.png').write_bytes(content)
         with pytest.raises(UnusableInput, match='1.png is no picture'):
             list(picture_folder.pictures(entries(str(tmp_path), 1.0)))
+
+
+def test_hidden_files_are_passed_over(tmp_path):
+    paths = store(tmp_path, ['000000.png', '000001.png'])
+    (tmp_path / '._000000.png').write_bytes(b'of macOS')
+    assert [entry.path for entry in entries(str(tmp_path), 10)] == paths
+
+
+@pytest.mark.parametrize(('names', 'said'), [
+    (['00.png', '01.png', '02.png', '06.png'], 'leave out numbers, first after 2;'),
+    ([f'f_{i}.png' for i in (0, 5, 10, 15, 25)], 'leave out numbers, first after 15;'),
+    (['0.jpg', '0.png', '1.jpg', '1.png', '2.png'], '^2 pictures are there with more than .*/0,'),
+    (['a1.png', 'a2.png', 'a3.png', 'b9.png'], '^$'), (['3.png', '11.png', '12.png'], '^$'),
+    (['1.png', '2.png', '3.png'], '^$'), (['a.png', 'b.png'], '^$'), (['5.png'], '^$')])
+def test_names_that_tell_of_missing_or_double_pictures_give_a_warning(tmp_path, names, said):
+    store(tmp_path, names)
+    assert re.search(said, picture_folder.warning(entries(str(tmp_path), 10)))
+    with open_input(str(tmp_path), encoder=EncoderSettings(rate=10.0)) as video:
+        assert re.search(said, video.warning)
+
+
+@pytest.mark.parametrize(('times', 'said'), [
+    ('0.0\n0.1\nnan\n', "times.txt, line 3: 'nan' is no time; give seconds"),
+    ('0\n100000000\n200000000\n', 'are 1e[+]08 s apart; give seconds, not nanoseconds'),
+    (f'{STAMP}\n{STAMP + 1}\n{STAMP + 2}\n', "line 1: '1403.*' is no time; give seconds")])
+def test_times_that_are_no_seconds_are_refused_with_their_line(tmp_path, times, said):
+    store(tmp_path, ['0.png', '1.png', '2.png'])
+    (tmp_path / 'times.txt').write_text(times)
+    with pytest.raises(UnusableInput, match=said):
+        entries(str(tmp_path))
