@@ -20,7 +20,8 @@ from rosbags.rosbag2 import Reader
 
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 ODOMETRY = 'nav_msgs/msg/Odometry'
-SUFFIXES = ('.mcap', '.db3', '.bag')
+SQLITE = '.db3'
+SUFFIXES = ('.mcap', SQLITE, '.bag')
 MAGIC = b'\x89MCAP0\r\n'
 
 Made = TypeVar('Made')
@@ -51,7 +52,7 @@ def is_bag(path: str | Path) -> bool:
     """Return whether a path is a bag rather than a video."""
     path = Path(path)
     if os.path.isdir(path):  # Path.is_dir raises where a name is too long
-        return (path / 'metadata.yaml').exists() or bool(_mcap_files(path))
+        return (path / 'metadata.yaml').exists() or bool(_files(path))
     return path.suffix in SUFFIXES
 
 
@@ -256,22 +257,35 @@ def _connections(path: Path) -> list[Connection]:
         return list(reader.connections)
 
 
-def _whole(path: Path, topics: Collection[str]) -> Iterator[Raw]:
+def _whole(path: Path, topics: Collection[str] | None) -> Iterator[Raw]:
     with Reader(path) as reader:
-        connections = [c for c in reader.connections if c.topic in topics]
+        connections = [c for c in reader.connections if topics is None or c.topic in topics]
         for connection, stamp, data in reader.messages(connections) if connections else ():
             yield Raw(connection.topic, connection.msgtype, stamp, bytes(data))
 
 
-def _salvage(path: Path, _topics: Collection[str] = ()) -> Iterator[Raw]:
-    """Yield the whole messages of MCAP files, without need of index or end."""
-    for file in _mcap_files(path) if path.is_dir() else [path]:
+def _salvage(path: Path, topics: Collection[str] | None = None) -> Iterator[Raw]:
+    """Yield the whole messages of the files of a bag, without need of index, end or metadata."""
+    for file in _files(path) if path.is_dir() else [path]:
+        if file.suffix == SQLITE:
+            yield from _whole_rows(file, topics)
+            continue
         with file.open('rb') as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 continue
             stream.seek(0)
             yield from _whole_records(StreamReader(
                 stream, emit_chunks=True, record_size_limit=bounded.LARGEST))
+
+
+def _whole_rows(file: Path, topics: Collection[str] | None) -> Iterator[Raw]:
+    """Yield the messages of an SQLite file up to where it is damaged."""
+    try:
+        yield from _whole(file, topics)
+    except UnusableInput:
+        raise
+    except Exception:  # rosbags raises whatever a damaged byte leads it to
+        return
 
 
 def _whole_records(reader: StreamReader) -> Iterator[Raw]:
@@ -303,5 +317,5 @@ def _records(reader: StreamReader) -> Iterator[McapRecord]:
         yield from inner
 
 
-def _mcap_files(folder: Path) -> list[Path]:
-    return sorted(folder.glob('*.mcap'))
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix in ('.mcap', SQLITE))

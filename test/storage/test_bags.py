@@ -5,10 +5,13 @@ from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Speed
 from mv_slapse.storage.bag_reader import BagReader, is_bag
 from mv_slapse.storage.bag_writer import BagWriter, McapFile
+from mv_slapse.storage.messages import typestore
+from mv_slapse.tools.inputs import open_input
 from mv_slapse.video_messages import FFMPEG_PACKET, IMAGE, packet_to_fields
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
 
 CAMERA = Camera(64, 48, np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]))
 STAMPS = [0, 300, 100, 200, 600, 400, 500]  # decoding order of I P B B P B B
@@ -191,6 +194,26 @@ def test_a_cut_bag_gives_what_is_whole(tmp_path):
     n_packets = len(list(reader.packets(reader.video_topic())))
     assert reader.is_cut
     assert n_packets in (len(STAMPS), 2 * len(STAMPS))
+
+
+def test_sqlite_of_a_recorder_that_was_killed_is_read_without_its_metadata(bag, tmp_path):
+    topics = ['/camera/camera_info', '/camera/image/ffmpeg']
+    path = tmp_path / 'killed'
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        known = {}
+        for raw, _ in BagReader(bag).messages(topics):
+            known[raw.topic] = known.get(raw.topic) or writer.add_connection(
+                raw.topic, raw.type, typestore=typestore())
+            writer.write(known[raw.topic], raw.stamp, raw.data)
+    assert not BagReader(path).is_cut
+    (path / 'metadata.yaml').unlink()
+    assert is_bag(path)
+    reader = BagReader(path)
+    assert reader.is_cut
+    assert len(list(reader.packets(reader.video_topic()))) == len(STAMPS)
+    assert reader.camera(reader.video_topic()).width == CAMERA.width
+    with open_input(str(path)) as video:
+        assert 'has no end' in video.warning
 
 
 def test_a_file_is_replaced_only_when_it_is_whole(tmp_path):
