@@ -4,7 +4,7 @@ from collections.abc import Callable
 import errno
 from functools import partial
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, IO, TextIO
 
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import MvSlapseError, UnusableOutput, UsageError
@@ -13,11 +13,12 @@ from mv_slapse.ros_frames import ORIGIN, RosFrames
 from mv_slapse.storage import tables, tum
 from mv_slapse.storage.archives import LabelArchive, MapArchive, write_json
 from mv_slapse.storage.message_log import MessageLog, Step
-from mv_slapse.storage.whole_files import PART, part_of, put_in_place, unusable
+from mv_slapse.storage.whole_files import locked, PART, part_of, put_in_place, unusable
 
 ROWS = ('trajectory.tum', 'planes.csv', 'obstacles.csv')
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 AT_THE_END = ('labels.npz', 'map.json', 'results.mcap', 'summary.json')
+LOCK = '.run.lock'  # while a run writes; .lock is a batch's
 RESULTS = (*AT_THE_END, *ROWS, 'report.html')  # the last is another writer's
 
 
@@ -26,7 +27,7 @@ class ResultsWriter:
 
     All files grow beside their places, rows line by line, and closing puts them there, so that a
     run that is interrupted leaves whole files of what it did. One that is killed leaves rows in
-    files that end in ``.part``.
+    files that end in ``.part``. No other run writes into the folder meanwhile.
     """
 
     def __init__(self, out: str | Path, frames: RosFrames | None = None,
@@ -36,11 +37,13 @@ class ResultsWriter:
         Raises
         ------
         UsageError, UnusableOutput
-            Where the folder cannot be written; where the disk is full.
+            Where the folder cannot be written, or another run writes there; where the disk is
+            full.
         """
         self.out = Path(out)
         try:
             self.out.mkdir(parents=True, exist_ok=True)
+            self._lock = self._locked()
             for name in RESULTS:
                 (self.out / name).unlink(missing_ok=True)
             self._trajectory = self._text('trajectory.tum')
@@ -112,16 +115,29 @@ class ResultsWriter:
             lambda: write_json(self.out / 'map.json', self._map.content())]
         if summary is not None:
             steps.append(partial(write_json, self.out / 'summary.json', summary))
-        errors = [error for step in (*steps, self._labels.close) if (error := _failure(step))]
+        steps += [self._labels.close, self._unlock]
+        errors = [error for step in steps if (error := _failure(step))]
         if errors:
             raise self._unusable(errors[0]) from errors[0]
+
+    def _locked(self) -> IO:
+        lock = locked(self.out / LOCK)
+        if lock is None:
+            raise UsageError(f'another run writes into {self.out}; wait for it, or choose another '
+                             'folder with -o')
+        return lock
+
+    def _unlock(self):
+        (self.out / LOCK).unlink(missing_ok=True)
+        self._lock.close()
 
     def _finish(self, file: TextIO, name: str):
         file.close()
         put_in_place(self.out / name)
 
     def _unusable(self, error: OSError | MvSlapseError) -> UnusableOutput:
-        found = sorted(path.name for path in self.out.iterdir() if path.is_file())
+        found = sorted(path.name for path in self.out.iterdir()
+                       if path.is_file() and path.name != LOCK)
         reason = getattr(error, 'strerror', None) or error
         return UnusableOutput(f'{self.out} cannot be written: {reason}; these files are whole: '
                               f'{", ".join(n for n in found if not n.endswith(PART)) or "none"}; '

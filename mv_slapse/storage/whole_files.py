@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+import fcntl
 import os
 from pathlib import Path
 from typing import IO
@@ -50,6 +51,26 @@ def write_text(path: str | Path, text: str):
     """Write a text file; see ``whole``."""
     with whole(path) as file:
         file.write(text)
+
+
+def locked(path: Path) -> IO | None:
+    """Return a file that is locked until it is closed, or its process ends however it does.
+
+    None where another has locked it. A disk without locks, as some networks have, keeps nobody
+    out. Raises OSError where it cannot be opened.
+    """
+    file = path.open('w')
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        file.close()
+        return None
+    except OSError:
+        return file
+    if os.fstat(file.fileno()).st_nlink:
+        return file
+    file.close()  # who had it removed it meanwhile
+    return locked(path)
 
 
 def unusable(path: str | Path, error: OSError, more: str = '') -> UnusableOutput:

@@ -250,6 +250,28 @@ def test_files_of_an_earlier_run_go_when_a_new_one_starts(out, steps):
     writer.close()
 
 
+def test_two_runs_never_write_into_one_folder_at_once(out, steps):
+    with ResultsWriter(out) as writer:
+        writer.write(steps[1])
+        with pytest.raises(UsageError, match='another run writes into .*out; wait for it, or'):
+            ResultsWriter(out)
+    assert len(read_trajectory(out / 'trajectory.tum')) == 2
+    ResultsWriter(out).close()
+
+
+def test_a_run_that_is_killed_keeps_no_other_out(out):
+    code = f'''
+import os, signal
+from mv_slapse.storage.results import ResultsWriter
+writer = ResultsWriter({str(out)!r})
+os.kill(os.getpid(), signal.SIGKILL)
+'''
+    done = subprocess.run([sys.executable, '-c', code])
+    assert done.returncode == -9
+    assert (out / 'trajectory.tum.part').exists()
+    ResultsWriter(out).close()
+
+
 def test_an_interrupted_run_leaves_valid_files(tmp_path, steps):
     def interrupted_run():
         with ResultsWriter(tmp_path) as writer:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-import fcntl
 from pathlib import Path
 import shutil
 import uuid
@@ -34,15 +33,13 @@ def claimed(output: Path) -> Iterator[None]:
     """
     try:
         output.mkdir(parents=True, exist_ok=True)
-        lock = (output / LOCK).open('w')
+        lock = whole_files.locked(output / LOCK)
     except OSError as error:
         raise whole_files.unusable(output, error) from error
+    if lock is None:
+        raise UsageError(f'another call of mv_slapse batch works in {output}; wait for it, or '
+                         'choose another folder with -o')
     with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise UsageError(f'another call of mv_slapse batch works in {output}; wait for it, or '
-                             'choose another folder with -o') from None
         clear(output)
         yield
 
