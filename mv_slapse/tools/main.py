@@ -105,7 +105,7 @@ def _add_run(commands: Any) -> argparse.ArgumentParser:
     command.add_argument('--speed', metavar='CSV|TOPIC',
                          help='speed of the vehicle, which makes the scale metric: table of stamp '
                          '[s] and speed [m/s], or topic of wheel odometry in the bag')
-    command.add_argument('-o', '--output', default='out', metavar='OUT',
+    command.add_argument('-o', '--output', type=_folder, default='out', metavar='OUT',
                          help='folder of the results (default: %(default)s)')
     command.add_argument('--map', metavar='JSON',
                          help='map.json of an earlier run: give the results in its frame, where '
@@ -134,7 +134,7 @@ def _add_batch(commands: Any) -> argparse.ArgumentParser:
     command.add_argument('--camera-height', type=_height, metavar='M',
                          help='height of the camera above the ground; makes the scale metric')
     command.add_argument('--speed', metavar='TOPIC', help='topic of wheel odometry in the bags')
-    command.add_argument('-o', '--output', default='out', metavar='OUT',
+    command.add_argument('-o', '--output', type=_folder, default='out', metavar='OUT',
                          help='folder of the runs, a folder each (default: %(default)s)')
     command.add_argument('--topic', help='video topic of bags that have several')
     command.add_argument('--max-frames', type=_count, metavar='N',
@@ -194,7 +194,8 @@ def _add_bag(commands: Any) -> argparse.ArgumentParser:
     command.add_argument('input', metavar='VIDEO', help='video file')
     command.add_argument('--camera', required=True, metavar='YAML', help='camera_info file')
     command.add_argument('--ground-truth', metavar='TUM', help='true trajectory')
-    command.add_argument('-o', '--output', required=True, metavar='BAG', help='folder to make')
+    command.add_argument('-o', '--output', type=_folder, required=True, metavar='BAG',
+                         help='folder to make')
     command.add_argument('--start', type=float, default=1.0, metavar='S',
                          help='stamp of the first picture (default: 1, as 0 is no time to ROS)')
     command.add_argument('--max-frames', type=_count, metavar='N', help='stop after N pictures')
@@ -205,8 +206,8 @@ def _add_bag(commands: Any) -> argparse.ArgumentParser:
 def _add_demo(commands: Any) -> argparse.ArgumentParser:
     command = commands.add_parser('demo', help='render a street, run everything, write a report')
     command.set_defaults(function=_demo)
-    command.add_argument('-o', '--output', default='out/demo', metavar='OUT',
-                         help='folder of the results (default: %(default)s)')
+    command.add_argument('-o', '--output', type=_folder, default='out/demo',
+                         metavar='OUT', help='folder of the results (default: %(default)s)')
     command.add_argument('--seed', type=int, default=0, help='of the street (default: 0)')
     command.add_argument('--quick', action='store_true', help='a shorter street')
     _add_output_style(command)
@@ -248,7 +249,8 @@ def _run(args: argparse.Namespace) -> int:
     with progress_bar(args.quiet or args.json) as progress:
         history = History()
         options = run.Options(args.max_frames, args.topic, args.command_line, speeds, history,
-                              args.map, args.packets, warnings)
+                              args.map, args.packets, warnings,
+                              (args.camera, args.speed, args.settings))
         summary = run.run(args.input, camera, settings, args.output, options, progress)
     _print(args, summary.to_dict(), run_summary.text(summary, args.output))
     if not args.no_report:
@@ -343,6 +345,13 @@ def _count(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f'{text!r} is not a whole number above 0')
     return value
+
+
+def _folder(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError('the name is empty; give a folder (. is this one), and '
+                                         'look whether a variable of the shell is not set')
+    return text
 
 
 def _height(text: str) -> float:

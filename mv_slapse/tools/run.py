@@ -92,6 +92,7 @@ class Options:
     known_map: str | Path | None = None
     with_packets: bool = False  # put the packets of the video into results.mcap, too
     warnings: Iterable[str] = ()  # of what was read before the run, for the summary
+    read: Iterable[str | None] = ()  # files of the user, such as camera and settings
 
 
 def run(input: str | Path, camera: Camera | None, settings: Settings, output: str | Path,
@@ -112,7 +113,8 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
     UsageError
         Where arguments contradict one another, or the output cannot be written.
     """
-    _spare((str(input), options.known_map), Path(output))
+    files = (name for name in options.read if name and Path(name).is_file())  # or a topic
+    _spare((str(input), options.known_map, *files), Path(output))
     with open_input(str(input), options.topic, settings.encoder) as source:
         camera = _camera(camera, source, str(input))
         session = _Session(source, str(input), camera, settings, options)
@@ -134,7 +136,7 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
 
 
 def _spare(inputs: Iterable[str | Path | None], output: Path):
-    """Raise UsageError where an input is one of the results, which would take its place."""
+    """Raise UsageError where what is read is one of the results, which would replace it."""
     results = {path.resolve() for path in (output, *(output / name for name in RESULTS))}
     for given in filter(None, inputs):
         if '://' not in str(given) and Path(given).resolve() in results:

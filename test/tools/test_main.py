@@ -73,6 +73,21 @@ def test_a_speed_makes_the_scale_metric(call, clip, wheels, tmp_path):
     assert json.loads(out)['scale'] == pytest.approx(1, abs=0.02)
 
 
+@pytest.mark.parametrize(('option', 'name'), [
+    ('--camera', 'map.json'), ('--speed', 'planes.csv'), ('--settings', 'summary.json')])
+def test_a_run_replaces_no_file_that_it_reads(call, clip, wheels, tmp_path, option, name):
+    given = {'--camera': clip.camera, '--speed': wheels, '--settings': tmp_path / 's.yaml'}
+    given['--settings'].write_text('scene: {camera_height: 1.65}')
+    text = given[option].read_text()
+    given[option] = tmp_path / name
+    given[option].write_text(text)
+    code, _, err = call('run', clip.video, '-o', tmp_path, *(x for pair in given.items()
+                                                             for x in pair))
+    assert code == 2
+    assert f'{name} is where the results of this run go' in err
+    assert given[option].read_text() == text
+
+
 def test_speeds_of_another_clock_are_not_used_and_it_is_said(call, clip, wheels, tmp_path):
     late = [replace(speed, stamp=speed.stamp + 10**12) for speed in read_speeds(wheels)]
     write_speeds(wheels, late)
@@ -142,7 +157,7 @@ BAD_INPUT = [
     (['run', '{video}', '--camera', '{camera}', '--speed', '{camera}'], 3, 'no column stamp'),
     (['run', '{video}', '--camera', '{camera}', '--set', 'a.b=1'], 2, 'no setting a.b'),
     (['run', '{video}', '--camera', '{camera}', '--settings', '{tmp}/none'], 2, 'settings file'),
-    (['run', '{video}', '--camera', '{camera}', '-o', '{camera}'], 2, 'cannot be written'),
+    (['run', '{video}', '--camera', '{camera}', '-o', '{camera}/a'], 2, 'cannot be written'),
     (['run', 'gopher://a/b', '--camera', '{camera}'], 3, 'protocol not allowed'),
     (['eval', '{tmp}', '--ground-truth', '{truth}'], 3, 'not a folder of results'),
     (['eval', '{out}'], 2, 'nothing to compare with'),
@@ -213,6 +228,8 @@ def test_a_fault_of_the_program_is_told_apart_and_can_be_traced(call, clip, monk
 
 
 @pytest.mark.parametrize('arguments', [[], ['fly'], ['run'], ['run', 'a', '--max-frames', '0'],
+                                       ['run', 'a', '-o', ''], ['batch', 'a', '-o', ''],
+                                       ['demo', '-o', ''],
                                        ['run', 'a', '--camera-height', '-1'],
                                        ['run', 'a', '--camera-height', 'tall']])
 def test_wrong_usage_ends_with_2(arguments, capsys):
