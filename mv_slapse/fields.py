@@ -71,7 +71,8 @@ def camera_to_fields(camera: Camera, stamp: int, frame_id: str) -> Fields:
 def camera_from_message(msg: Any, origin: str = 'camera_info') -> Camera:
     """Return the camera of a sensor_msgs/CameraInfo; an unusable one raises UnusableInput."""
     size, K = published(msg)
-    return check.camera(camera_from_calibration(size, K, msg.distortion_model, msg.d, origin))
+    return check.camera(camera_from_calibration(size, K, msg.distortion_model, msg.d, origin,
+                                                (msg.width, msg.height)))
 
 
 def correspondences_to_fields(record: Correspondences, frames: RosFrames) -> Fields:

@@ -15,11 +15,12 @@ N_COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8, 12, 14), 'equi
 
 
 def camera_from_calibration(size: tuple[int, int], K: Any, model: str, distortion: Any,
-                            origin: str) -> Camera:
+                            origin: str, whole: tuple[int, int] = (0, 0)) -> Camera:
     """Return the camera of the entries of a camera_info, or say what is wrong with them.
 
     Of width and height [px], K (9 numbers, row-major) [px], lens model and coefficients as ROS
-    names and orders them; none means no distortion. ``origin``, a file or topic, is for messages.
+    names and orders them; none means no distortion. ``origin``, a file or topic, is for messages;
+    ``whole`` is the size [px] of what the pictures are a part of, if they are of something larger.
     Raises UnusableInput, which names origin, entry and cure.
     """
     K = _numbers(K, 'camera matrix', origin)
@@ -28,10 +29,14 @@ def camera_from_calibration(size: tuple[int, int], K: Any, model: str, distortio
     if min(size) <= 0 or max(size) > LARGEST:
         raise UnusableInput(f'{origin}: the picture size is {size[0]}x{size[1]}; '
                             'give image_width and image_height in pixels')
-    _check_focal_lengths(K.reshape(3, 3), size, origin)
+    K = K.reshape(3, 3)
+    _check_focal_lengths(K, size, origin)
+    if np.all(np.diag(K)[:2] > 0):  # one that is not calibrated has a message of its own
+        _check_form(K, origin)
+        _check_centre(K, size, max(*size, *whole), origin)
     lens = ALIASES.get(str(model).lower(), str(model))
     try:
-        return Camera(*size, K.reshape(3, 3), lens, _coefficients(lens, distortion, origin))
+        return Camera(*size, K, lens, _coefficients(lens, distortion, origin))
     except UnusableInput as error:
         raise UnusableInput(f'{origin}: {error}') from None
 
@@ -45,6 +50,24 @@ def _check_focal_lengths(K: np.ndarray, size: tuple[int, int], origin: str):
         raise UnusableInput(
             f'{origin}: no lens has the camera matrix {K.tolist()} with pictures of '
             f'{size[0]}x{size[1]}; focal lengths and centre are in pixels')
+
+
+def _check_form(K: np.ndarray, origin: str):
+    """Refuse a matrix that is not (fx s cx; 0 fy cy; 0 0 1)."""
+    if K[1, 0] or not np.array_equal(K[2], (0, 0, 1)):
+        is_transposed = not np.any(K[:2, 2]) and np.any(K[2, :2])
+        cure = ('it is transposed, as MATLAB has it: give it row by row' if is_transposed else
+                'give fx 0 cx, 0 fy cy, 0 0 1, row by row and in pixels')
+        raise UnusableInput(f'{origin}: no camera matrix is {K.tolist()}; {cure}')
+
+
+def _check_centre(K: np.ndarray, size: tuple[int, int], margin: float, origin: str):
+    """Refuse a principal point that is farther outside the pictures than a margin [px]."""
+    centre = K[:2, 2]
+    if np.any(centre < -margin) or np.any(centre > np.add(size, margin)):
+        raise UnusableInput(
+            f'{origin}: the principal point {centre.tolist()} is far outside the pictures of '
+            f'{size[0]}x{size[1]}; give cx and cy in pixels, of pictures of this size')
 
 
 def check_size(camera: Camera, width: int, height: int, origin: str):

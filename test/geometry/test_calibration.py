@@ -30,6 +30,12 @@ def test_no_coefficients_mean_no_distortion(model, lens):
     ({'K': K[:8]}, '8 numbers, not 9'),
     ({'K': [*K[:8], 'one']}, 'not a number'),
     ({'K': [float('nan'), *K[1:]]}, 'not finite'),
+    ({'K': np.reshape(K, (3, 3)).T.ravel()}, 'transposed, as MATLAB has it: give it row by row'),
+    ({'K': [*K[:8], 2.0]}, 'no camera matrix is .*give fx 0 cx, 0 fy cy, 0 0 1'),
+    ({'K': [*K[:8], 0.0]}, 'no camera matrix is'),
+    ({'K': [*K[:3], 1e-3, *K[4:]]}, 'no camera matrix is'),
+    ({'K': [500.0, 0, 1281, *K[3:]]}, 'principal point .*far outside the pictures of 640x480'),
+    ({'K': [*K[:5], -641, *K[6:]]}, 'principal point'),
     ({'size': (0, 480)}, '0x480'),
     ({'model': 'mirror_ball'}, "'mirror_ball' is not supported; use one of plumb_bob"),
     ({'model': 'equidistant'}, '4 coefficients, not 5'),
@@ -37,6 +43,12 @@ def test_no_coefficients_mean_no_distortion(model, lens):
 def test_a_wrong_entry_is_refused_with_its_origin(wrong, message):
     with pytest.raises(UnusableInput, match=f'left.yaml: .*{message}'):
         camera(**wrong)
+
+
+@pytest.mark.parametrize('centre', [(-600, 240), (1279, 1119)])
+def test_the_principal_point_of_cut_pictures_may_be_outside_them(centre):
+    cut = [500.0, 0.5, centre[0], 0, 510.0, centre[1], 0, 0, 1]
+    np.testing.assert_array_equal(camera(K=cut).K[:2, 2], centre)
 
 
 def test_pictures_of_another_size_are_refused_naming_both_sizes():

@@ -115,6 +115,13 @@ def test_binning_and_region_of_interest_move_the_intrinsics():
     assert u == pytest.approx(camera.K[0, 0] * ray + camera.K[0, 2])
 
 
+def test_a_region_of_interest_may_be_in_the_corner():
+    info = camera_info()
+    info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 0, 416, 64, 64
+    camera = fields.camera_from_message(info)
+    np.testing.assert_array_equal(camera.K[:2, 2], (320, 240 - 416))
+
+
 def test_an_uncalibrated_camera_is_refused_by_name():
     info = camera_info()
     info.k[:] = 0.0

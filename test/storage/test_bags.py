@@ -82,7 +82,7 @@ def test_speeds_are_those_of_a_topic_with_odometry(tmp_path):
 
 
 def test_the_nearest_calibration_is_taken(tmp_path):
-    other = Camera(64, 48, 2 * CAMERA.K)
+    other = Camera(64, 48, np.diag((2.0, 2.0, 1.0)) @ CAMERA.K)
     with BagWriter(tmp_path / 'bag') as writer:
         for topic, camera in (('/left/camera_info', CAMERA), ('/right/camera_info', other)):
             writer.write(topic, 'sensor_msgs/msg/CameraInfo',
