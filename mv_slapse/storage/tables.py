@@ -5,6 +5,7 @@ import csv
 from pathlib import Path
 
 from mv_slapse.errors import UnusableInput
+from mv_slapse.fields import MAX_SPEED
 from mv_slapse.records import Obstacle, SceneEstimate, Speed
 from mv_slapse.storage import whole_files
 from mv_slapse.storage.tum import format_stamp, parse_stamp
@@ -42,8 +43,18 @@ def write_speeds(path: str | Path, speeds: Iterable[Speed]):
 
 
 def read_speeds(path: str | Path) -> list[Speed]:
-    """Return the speeds [m/s] of a table with the columns stamp [s] and speed; see read_table."""
+    """Return the speeds [m/s] of a table with the columns stamp [s] and speed.
+
+    Raises
+    ------
+    UnusableInput
+        As ``read_table`` does, and where a speed is not finite or beyond MAX_SPEED.
+    """
     table = read_table(path, SPEEDS_HEADER)
+    for k in np.flatnonzero(~(np.abs(table['speed']) <= MAX_SPEED)):
+        raise UnusableInput(f'{path}: the speed at stamp {format_stamp(table["stamp"][k])} is '
+                            f'{table["speed"][k]:g} m/s, which no vehicle has (at most '
+                            f'{MAX_SPEED:g}); correct it, or leave the row out')
     return [Speed(int(stamp), float(value))
             for stamp, value in zip(table['stamp'], table['speed'], strict=True)]
 
@@ -58,7 +69,7 @@ def read_table(path: str | Path, required: str) -> dict[str, np.ndarray]:
         a value is no number.
     """
     try:
-        with Path(path).open(newline='') as file:
+        with Path(path).open(newline='', encoding='utf-8-sig') as file:
             rows = list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UnusableInput(f'{path} cannot be read as a table: {error}') from None
@@ -76,11 +87,15 @@ def _column(path: str | Path, name: str, values: tuple[str, ...]) -> np.ndarray:
     if name in ('state', 'name'):
         return np.array(values, str)
     convert: Callable = parse_stamp if name == 'stamp' else float
-    try:
-        return np.array([convert(value) for value in values],
-                        np.int64 if name == 'stamp' else float)
-    except (ValueError, ArithmeticError):
-        raise UnusableInput(f'{path}: a value in column {name} is not a number') from None
+    numbers = []
+    for value in values:
+        try:
+            numbers.append(convert(value))
+        except (ValueError, ArithmeticError):
+            cure = ' of seconds; stamps are in seconds' if name == 'stamp' else ''
+            raise UnusableInput(f'{path}: a value in column {name} is not a number{cure}: '
+                                f'{value[:40]!r}') from None
+    return np.array(numbers, np.int64 if name == 'stamp' else float)
 
 
 def _numbers(values: np.ndarray | list) -> str:

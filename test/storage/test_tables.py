@@ -53,11 +53,23 @@ def test_speeds_come_back_with_every_digit_of_their_stamps(tmp_path):
 
 
 @pytest.mark.parametrize(('text', 'message'), [('time,speed\n0,1\n', 'no column stamp'),
-                                               ('stamp,speed\n0,fast\n', 'column speed')])
+                                               ('stamp,speed\n0,fast\n', 'column speed'),
+                                               ('stamp,speed\n0,1\n1.5,nan\n',
+                                                'at stamp 1.500000000 is nan m/s'),
+                                               ('stamp,speed\n0,inf\n', 'stamp 0.0+ is inf'),
+                                               ('stamp,speed\n0,-1001\n', '-1001 m/s, which no '
+                                                'vehicle has .at most 1000.; correct it'),
+                                               ('stamp,speed\n1403636579763555584,1\n',
+                                                "stamps are in seconds: '1403636579763555584'")])
 def test_a_table_that_holds_no_speeds_is_refused(tmp_path, text, message):
     (tmp_path / 'speeds.csv').write_text(text)
     with pytest.raises(UnusableInput, match=message):
         tables.read_speeds(tmp_path / 'speeds.csv')
+
+
+def test_a_table_may_begin_as_spreadsheets_write_it(tmp_path):
+    (tmp_path / 'speeds.csv').write_bytes(b'\xef\xbb\xbfstamp,speed\r\n1,1000\r\n')
+    assert tables.read_speeds(tmp_path / 'speeds.csv') == [Speed(1_000_000_000, 1000.0)]
 
 
 def test_a_table_without_rows_has_empty_columns(tmp_path):
