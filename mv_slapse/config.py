@@ -9,7 +9,9 @@ from typing import Any
 
 from mv_slapse.errors import UsageError
 
+GREATEST = 1e9  # that a number without another bound may be: what is made of it stays finite
 USUAL_HEIGHT = 1.65  # [m] of the camera, where nobody gives it
+LEAST_HEIGHT = 0.001  # [m]
 
 
 def setting(default: Any, unit: str, meaning: str, low: Any = None, high: Any = None) -> Any:
@@ -27,6 +29,8 @@ class Checked:
         for item in fields(self):
             value, low, high = (getattr(self, item.name), item.metadata['low'],
                                 item.metadata['high'])
+            if isinstance(item.default, float) and high is None:
+                high = GREATEST
             if low is not None and not value >= low or high is not None and not value <= high:
                 raise UsageError(f'{type(self).__name__}.{item.name} = {value!r} is out of '
                                  f'bounds [{low}, {high}]: {item.metadata["doc"]}')
@@ -184,7 +188,14 @@ class MountSettings(Checked):
 
     camera_height: float = setting(
         0.0, 'm', 'height of a camera that is rigidly mounted on a ground vehicle; 0: unknown, '
-        'the scale stays free and vehicles are taken to look as from 1.65 m', 0.0)
+        'the scale stays free and vehicles are taken to look as from 1.65 m', 0.0, 1000.0)
+
+    def __post_init__(self):
+        """Refuse a height that is next to none, too."""
+        super().__post_init__()
+        if 0 < self.camera_height < LEAST_HEIGHT:
+            raise UsageError(f'camera_height = {self.camera_height!r} is out of bounds '
+                             f'[{LEAST_HEIGHT}, 1000.0] [m]; give 0 where it is not known')
 
 
 @dataclass(frozen=True)

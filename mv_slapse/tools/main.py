@@ -19,6 +19,8 @@ from mv_slapse.errors import MvSlapseError
 from mv_slapse.tools.plain import plain
 
 FAULT, LOST, INTERRUPTED = 1, 4, 130
+MOST = 10**9  # pictures, or processes
+LAST_START = 2_000_000_000  # [s]: ROS counts seconds in 31 bits, and a bag goes on from there
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -196,7 +198,7 @@ def _add_bag(commands: Any) -> argparse.ArgumentParser:
     command.add_argument('--ground-truth', metavar='TUM', help='true trajectory')
     command.add_argument('-o', '--output', type=_folder, required=True, metavar='BAG',
                          help='folder to make')
-    command.add_argument('--start', type=float, default=1.0, metavar='S',
+    command.add_argument('--start', type=_start, default=1.0, metavar='S',
                          help='stamp of the first picture (default: 1, as 0 is no time to ROS)')
     command.add_argument('--max-frames', type=_count, metavar='N', help='stop after N pictures')
     command.add_argument('--json', action='store_true', help='print one JSON object')
@@ -341,9 +343,20 @@ def _fail(args: argparse.Namespace, message: str, code: int) -> int:
 
 
 def _count(text: str) -> int:
-    value = int(text) if text.isdigit() else 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number above 0')
+    value = int(text) if text.isdecimal() and len(text) < 100 else 0
+    if not 1 <= value <= MOST:
+        raise argparse.ArgumentTypeError(f'{text[:40]!r} is not a whole number from 1 to {MOST}')
+    return value
+
+
+def _start(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= LAST_START:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a time in seconds from 0 to '
+                                         f'{LAST_START}, as ROS counts them')
     return value
 
 

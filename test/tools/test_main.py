@@ -227,7 +227,13 @@ def test_a_fault_of_the_program_is_told_apart_and_can_be_traced(call, clip, monk
         call('eval', clip.out, '--debug')
 
 
+BAG = ['bag', 'a', '--camera', 'b', '-o', 'c']
+
+
 @pytest.mark.parametrize('arguments', [[], ['fly'], ['run'], ['run', 'a', '--max-frames', '0'],
+                                       ['run', 'a', '--max-frames', '9' * 20],
+                                       [*BAG, '--start', '1e12'], [*BAG, '--start', '-5'],
+                                       [*BAG, '--start', 'nan'],
                                        ['run', 'a', '-o', ''], ['batch', 'a', '-o', ''],
                                        ['demo', '-o', ''],
                                        ['run', 'a', '--camera-height', '-1'],

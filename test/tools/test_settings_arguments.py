@@ -26,6 +26,9 @@ def test_truth_values_are_written_as_in_yaml():
     ('xyz.q=1', 'no setting xyz.q; docs/parameters.md lists all'),
     ('scene.camera_height=tall', "takes a float, not 'tall'"),
     ('extraction.min_macroblocks=2.5', 'takes a int, not 2.5'),
+    ('scene.camera_height=1e400', r'camera_height = inf is out of bounds \[0.0, 1000.0\]'),
+    ('scene.camera_height=1e-30', r'camera_height = 1e-30 is out of bounds \[0.001, 1000.0\]'),
+    ('scene.acceleration=1e400', r'acceleration = inf is out of bounds \[0.0, 1000000000.0\]'),
     ('scene.camera_height=-1', r'camera_height = -1.0 is out of bounds')])
 def test_a_wrong_text_is_refused(text, message):
     with pytest.raises(UsageError, match=message):

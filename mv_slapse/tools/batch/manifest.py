@@ -209,8 +209,8 @@ def _is_topic(path: str, column: str) -> bool:
 
 def _count(given: Mapping[str, str], default: int) -> int:
     text = given.get('max_frames', str(default))
-    if not text.isdigit():
-        raise UsageError(f'max_frames is no whole number: {text!r}')
+    if not text.isdecimal() or len(text) > 9:
+        raise UsageError(f'max_frames is no whole number below 10^9: {text!r}')
     return int(text)
 
 
