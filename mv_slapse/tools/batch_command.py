@@ -22,6 +22,7 @@ from mv_slapse.tools.batch.workers import (
     Workers,
 )
 from mv_slapse.tools.plain import plain
+from mv_slapse.tools.terminal import say
 from tqdm import tqdm
 
 SOME_FAILED, INTERRUPTED = 5, 130
@@ -117,7 +118,7 @@ def _tell(args: argparse.Namespace, rows: Sequence[Row], output: Path, code: int
     if args.json:
         content: dict[str, Any] = {'exit_code': code, 'rows': plain(list(rows)),
                                    'output': str(output)}
-        print(json.dumps(content | ({'error': message} if message else {})))
+        say(json.dumps(content | ({'error': message} if message else {})))
     elif not args.quiet:
-        print(summary.text(rows, output))
+        say(summary.text(rows, output))
     return code

@@ -20,6 +20,7 @@ from mv_slapse.tools.progress import progress_bar
 from mv_slapse.tools.run import Options
 from mv_slapse.tools.run import run as run_video
 from mv_slapse.tools.run_summary import lost_message, Summary
+from mv_slapse.tools.terminal import say
 import numpy as np
 
 LOST = 4
@@ -52,9 +53,9 @@ def main(args: argparse.Namespace) -> int:
     with progress_bar(args.quiet or args.json) as progress:
         demo = run(Path(args.output), args.seed, args.quick, progress)
     if args.json:
-        print(json.dumps(plain(demo.figures)))
+        say(json.dumps(plain(demo.figures)))
     elif not args.quiet:
-        print(text(demo))
+        say(text(demo))
     if demo.summary.is_lost:
         sys.stderr.write(f'mv_slapse: {lost_message(demo.summary)}\n')
     return LOST if demo.summary.is_lost else 0

@@ -9,6 +9,7 @@ import subprocess  # to ask programs for their versions  # nosec B404
 import sys
 
 from mv_slapse.errors import MissingKernels, MvSlapseError, UnusableInput
+from mv_slapse.tools.terminal import say
 
 PYTHONS = ((3, 11), (3, 12))
 #: module, distribution, oldest version that works
@@ -189,7 +190,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Print the table and return the exit code."""
     argparse.ArgumentParser(prog='mv_slapse doctor', description=__doc__).parse_args(arguments)
     findings = examine()
-    print(table(findings))
+    say(table(findings))
     return exit_code(findings)
 
 

@@ -7,6 +7,7 @@ for most of the input, 5 some recordings of a batch failed, 130 interrupted.
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
 from io import TextIOWrapper
 import json
 import os
@@ -17,6 +18,7 @@ from typing import Any
 
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.tools.plain import plain
+from mv_slapse.tools.terminal import say
 
 FAULT, LOST, INTERRUPTED = 1, 4, 130
 MOST = 10**9  # pictures, or processes
@@ -38,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         code = args.function(args)
         if args.content is not None:
-            print(json.dumps(plain(args.content)))
+            say(json.dumps(plain(args.content)))
         return code
     except MvSlapseError as error:
         return _fail(args, str(error), error.exit_code)
@@ -60,8 +62,7 @@ def _parsed(made: argparse.ArgumentParser, arguments: list[str]) -> argparse.Nam
         return made.parse_args(arguments, argparse.Namespace(content=None))
     except SystemExit as end:
         if end.code and '--json' in arguments:
-            print(json.dumps({'error': 'wrong usage, as standard error says',
-                              'exit_code': end.code}))
+            _say_failure('wrong usage, as standard error says', end.code)
         raise
 
 
@@ -332,14 +333,19 @@ def _print(args: argparse.Namespace, content: dict[str, Any], text: str):
     if args.json:
         args.content = content  # printed at the end: what follows may fail
     elif not getattr(args, 'quiet', False):
-        print(text)
+        say(text)
 
 
 def _fail(args: argparse.Namespace, message: str, code: int) -> int:
     sys.stderr.write(f'mv_slapse {args.command}: {message}\n')
     if getattr(args, 'json', False):
-        print(json.dumps({'error': message, 'exit_code': code}))
+        _say_failure(message, code)
     return code
+
+
+def _say_failure(message: str, code: int):
+    with suppress(OSError, MvSlapseError):  # standard error and the exit code tell it, too
+        say(json.dumps({'error': message, 'exit_code': code}))
 
 
 def _count(text: str) -> int:

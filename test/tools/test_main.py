@@ -253,6 +253,23 @@ def test_every_command_has_help(command, capsys):
     assert f'usage: mv_slapse {command}' in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(('arguments', 'code'), [
+    (['inspect', '{video}'], 3), (['inspect', '{video}', '--json'], 3), (['doctor'], 3),
+    (['eval', '{out}', '--json'], 2)])
+@pytest.mark.parametrize('unbuffered', ['', '1'])
+def test_standard_output_may_be_on_a_full_disk(clip, arguments, code, unbuffered):
+    names = [argument.format(**vars(clip)) for argument in arguments]
+    with open('/dev/full', 'w') as full:
+        done = subprocess.run([sys.executable, '-m', 'mv_slapse', *names], stdout=full, text=True,
+                              env={**os.environ, 'PYTHONPATH': str(ROOT),
+                                   'PYTHONUNBUFFERED': unbuffered},
+                              stderr=subprocess.PIPE)
+    assert done.returncode == code, done.stderr
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    if code == 3:
+        assert 'standard output cannot be written: No space left on device' in done.stderr
+
+
 def test_the_module_runs_as_a_program(tmp_path):
     done = subprocess.run([sys.executable, '-m', 'mv_slapse', 'inspect', tmp_path / 'none.mp4'],
                           capture_output=True, text=True, check=False)
