@@ -1,6 +1,7 @@
 """The files of a run: trajectory, planes, obstacles, labels, map, bag, summary."""
 
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
 import errno
 from functools import partial
 from pathlib import Path
@@ -31,8 +32,14 @@ class ResultsWriter:
     """
 
     def __init__(self, out: str | Path, frames: RosFrames | None = None,
-                 camera: Camera | None = None):
+                 camera: Camera | None = None, held: ExitStack | None = None):
         """Make the folder and its files; those of an earlier run go.
+
+        Parameters
+        ----------
+        held : ExitStack or None
+            Keeps other runs out until it is closed, for those who go on to read the files; None:
+            until the files are complete.
 
         Raises
         ------
@@ -44,6 +51,9 @@ class ResultsWriter:
         try:
             self.out.mkdir(parents=True, exist_ok=True)
             self._lock = self._locked()
+            if held is not None:
+                held.callback(self._unlock)
+            self._is_held = held is not None
             for name in RESULTS:
                 (self.out / name).unlink(missing_ok=True)
             self._trajectory = self._text('trajectory.tum')
@@ -115,8 +125,10 @@ class ResultsWriter:
             lambda: write_json(self.out / 'map.json', self._map.content())]
         if summary is not None:
             steps.append(partial(write_json, self.out / 'summary.json', summary))
-        steps += [self._labels.close, self._unlock]
+        steps.append(self._labels.close)
         errors = [error for step in steps if (error := _failure(step))]
+        if not self._is_held:
+            self._unlock()
         if errors:
             raise self._unusable(errors[0]) from errors[0]
 
@@ -128,7 +140,8 @@ class ResultsWriter:
         return lock
 
     def _unlock(self):
-        (self.out / LOCK).unlink(missing_ok=True)
+        with suppress(OSError):  # a file without a lock keeps nobody out
+            (self.out / LOCK).unlink(missing_ok=True)
         self._lock.close()
 
     def _finish(self, file: TextIO, name: str):

@@ -7,7 +7,7 @@ for most of the input, 5 some recordings of a batch failed, 130 interrupted.
 
 import argparse
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from io import TextIOWrapper
 import json
 import os
@@ -249,18 +249,19 @@ def _run(args: argparse.Namespace) -> int:
     camera = read_camera(args.camera) if args.camera else None
     speeds, warnings = read_speeds(args.speed, args.input) if args.speed else ([], [])
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C: files closed
-    with progress_bar(args.quiet or args.json) as progress:
-        history = History()
+    history = History()
+    with ExitStack() as held:
         options = run.Options(args.max_frames, args.topic, args.command_line, speeds, history,
                               args.map, args.packets, warnings,
-                              (args.camera, args.speed, args.settings))
-        summary = run.run(args.input, camera, settings, args.output, options, progress)
-    _print(args, summary.to_dict(), run_summary.text(summary, args.output))
-    if not args.no_report:
-        from mv_slapse.tools import run_report
-        run_report.write(args.output, summary.to_dict(), history)
-    if args.overlay and not summary.interrupted:
-        overlay.write(args.overlay, args.input, args.output, args.topic, settings.encoder)
+                              (args.camera, args.speed, args.settings), held)
+        with progress_bar(args.quiet or args.json) as progress:
+            summary = run.run(args.input, camera, settings, args.output, options, progress)
+        _print(args, summary.to_dict(), run_summary.text(summary, args.output))
+        if not args.no_report:
+            from mv_slapse.tools import run_report
+            run_report.write(args.output, summary.to_dict(), history)
+        if args.overlay and not summary.interrupted:
+            overlay.write(args.overlay, args.input, args.output, args.topic, settings.encoder)
     if summary.interrupted:
         return INTERRUPTED
     if summary.is_lost:

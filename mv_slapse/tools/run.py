@@ -3,7 +3,7 @@
 from array import array
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, ExitStack
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from itertools import islice
@@ -93,6 +93,7 @@ class Options:
     with_packets: bool = False  # put the packets of the video into results.mcap, too
     warnings: Iterable[str] = ()  # of what was read before the run, for the summary
     read: Iterable[str | None] = ()  # files of the user, such as camera and settings
+    held: ExitStack | None = None  # keeps other runs out of the folder until it is closed
 
 
 def run(input: str | Path, camera: Camera | None, settings: Settings, output: str | Path,
@@ -118,7 +119,7 @@ def run(input: str | Path, camera: Camera | None, settings: Settings, output: st
     with open_input(str(input), options.topic, settings.encoder) as source:
         camera = _camera(camera, source, str(input))
         session = _Session(source, str(input), camera, settings, options)
-        with ResultsWriter(output, camera=camera) as writer:
+        with ResultsWriter(output, camera=camera, held=options.held) as writer:
             try:
                 session.play(writer, progress)
             except KeyboardInterrupt:

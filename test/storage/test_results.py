@@ -1,4 +1,4 @@
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 import errno
 import json
@@ -257,6 +257,15 @@ def test_two_runs_never_write_into_one_folder_at_once(out, steps):
             ResultsWriter(out)
     assert len(read_trajectory(out / 'trajectory.tum')) == 2
     ResultsWriter(out).close()
+
+
+def test_no_run_begins_while_the_files_of_another_are_read(out):
+    with ExitStack() as held:
+        ResultsWriter(out, held=held).close()
+        with pytest.raises(UsageError, match='another run writes into'):
+            ResultsWriter(out)
+    ResultsWriter(out).close()
+    assert not list(out.glob('.*'))
 
 
 def test_a_run_that_is_killed_keeps_no_other_out(out):

@@ -46,6 +46,16 @@ def test_run_reports_on_the_terminal_unless_told_to_be_quiet(call, clip, tmp_pat
     assert call(*arguments, '--quiet') == (0, '', '')
 
 
+def test_no_other_run_begins_before_the_report_is_written(call, clip, tmp_path, monkeypatch):
+    from mv_slapse.tools import run_report
+    arguments = ['run', clip.video, '--camera', clip.camera, '-o', tmp_path, '--max-frames', 9]
+    monkeypatch.setattr(run_report, 'write', lambda *_: codes.append(
+        call(*arguments, '--no-report')[0]))
+    codes = []
+    assert call(*arguments)[0] == 0
+    assert codes == [2]
+
+
 def test_settings_come_from_file_and_command_line(call, clip, tmp_path):
     (tmp_path / 's.yaml').write_text('extraction: {min_macroblocks: 25, seed: 1}')
     _, out, _ = call('run', clip.video, '--camera', clip.camera, '-o', tmp_path / 'o', '--json',
