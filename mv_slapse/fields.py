@@ -11,6 +11,7 @@ from typing import Any
 
 from mv_slapse import message_checks as check
 from mv_slapse import ros_frames
+from mv_slapse.calibration import camera_from_calibration
 from mv_slapse.field_values import (
     column,
     Fields,
@@ -30,7 +31,6 @@ from mv_slapse.field_values import (
     stamp_from_message,
     stamp_to_fields,
 )
-from mv_slapse.geometry.calibration import camera_from_calibration
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.geometry.quaternion import to_matrix
 from mv_slapse.records import (

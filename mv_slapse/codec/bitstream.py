@@ -6,7 +6,7 @@ Only start codes, parameter sets and the first bits of slice headers are read (I
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from mv_slapse.geometry.calibration import LARGEST
+from mv_slapse.geometry.camera import LARGEST
 
 START = b'\x00\x00\x01'
 NAL_SLICE, NAL_IDR, NAL_SEI, NAL_SPS, NAL_PPS = 1, 5, 6, 7, 8

@@ -7,6 +7,7 @@ from mv_slapse.errors import UnusableInput
 import numpy as np
 
 UP = np.array([0.0, -1.0, 0.0])  # of a level camera: optical axes have y down
+LARGEST = 65535  # px, width or height
 LENS_MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
 
 

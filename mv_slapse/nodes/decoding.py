@@ -3,11 +3,11 @@
 from collections.abc import Callable
 import time
 
+from mv_slapse.calibration import check_size
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.codec.encoding.recoder import Recoder
 from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.config import DecoderSettings, EncoderSettings
-from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.nodes.camera_input import CameraInput
 from mv_slapse.nodes.gate import Gate

@@ -1,9 +1,9 @@
 """Merged motion vectors in; camera motion and labelled planes of each key frame pair out."""
 
 from mv_slapse import fields
+from mv_slapse.calibration import check_size
 from mv_slapse.config import ExtractionSettings, MountSettings
 from mv_slapse.extraction.extractor import PlaneExtractor
-from mv_slapse.geometry.calibration import check_size
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.nodes import overload
 from mv_slapse.nodes.camera_input import CameraInput

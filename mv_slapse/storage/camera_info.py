@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from mv_slapse.calibration import camera_from_calibration
 from mv_slapse.errors import UnusableInput
-from mv_slapse.geometry.calibration import camera_from_calibration
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.storage import whole_files, yaml_files
 import numpy as np

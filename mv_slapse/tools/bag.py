@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mv_slapse import fields
+from mv_slapse.calibration import fitted
 from mv_slapse.codec.packet import Packet
 from mv_slapse.errors import UnusableInput
-from mv_slapse.geometry.calibration import fitted
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.ros_frames import Pose, RosFrames
 from mv_slapse.storage.bag_writer import BagWriter

@@ -13,11 +13,11 @@ import time
 from typing import Any, NamedTuple
 
 from mv_slapse import heap
+from mv_slapse.calibration import fitted
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.codec.segments import NOT_STAMPED
 from mv_slapse.config import Settings
 from mv_slapse.errors import UnusableInput, UsageError
-from mv_slapse.geometry.calibration import fitted
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.pipeline import Slapse, Step
 from mv_slapse.records import (

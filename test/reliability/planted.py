@@ -76,7 +76,7 @@ PLANTED = tuple((f'mv_slapse/{path}', old, new, tests) for path, old, new, tests
     ('storage/yaml_files.py', 'if self.check_event(yaml.AliasEvent):', 'if False:', YAML),
     ('storage/yaml_files.py', 'if self._depth > DEEPEST:', 'if False:', YAML),
     ('storage/yaml_files.py', 'if len(content) > largest:', 'if False:', YAML),
-    ('geometry/calibration.py', '_check_focal_lengths(K, size, origin)\n',
+    ('calibration.py', '_check_focal_lengths(K, size, origin)\n',
      'pass\n', YAML),
     ('storage/whole_files.py', 'with part_of(path).open(mode, **text) as file:',
      'with path.open(mode, **text) as file:', WHOLE),

@@ -4,11 +4,10 @@ from dataclasses import replace
 from typing import Any
 
 from mv_slapse.errors import UnusableInput
-from mv_slapse.geometry.camera import Camera, LENS_MODELS
+from mv_slapse.geometry.camera import Camera, LARGEST, LENS_MODELS
 import numpy as np
 
 ALIASES = {'fisheye': 'equidistant', 'radtan': 'plumb_bob', '': 'plumb_bob', 'none': 'plumb_bob'}
-LARGEST = 65535  # px, width or height
 MOST_NUMBERS, GREATEST = 14, 1e9  # coefficients of a lens, and what none of them reaches
 WIDEST, LONGEST = 100, 1000  # size by focal length of the widest lens, and the converse
 N_COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8, 12, 14), 'equidistant': (4,)}

@@ -1,5 +1,5 @@
+from mv_slapse.calibration import camera_from_calibration, check_size, fitted
 from mv_slapse.errors import UnusableInput
-from mv_slapse.geometry.calibration import camera_from_calibration, check_size, fitted
 import numpy as np
 import pytest
 
