@@ -295,7 +295,7 @@ def text(results: Results, head: str, commit: str, pictures: Sequence[str]) -> s
         f'{pictures[-1]} alone; the fingerprint of all other figures is '
         f'`{fingerprint(results.found)}`. On a processor for which BLAS has other kernels the '
         'printed pipelines may take other samples: their way on `kitti00` was seen to err by 2.6 '
-        'or 3.1 % [SLAPSE] and 1.5 or 0.9 % [MVO].', *(f'![{name}]({name})' for name in pictures),
+        'to 3.9 % [SLAPSE] and 1.5 or 0.9 % [MVO].', *(f'![{name}]({name})' for name in pictures),
         '## The way', ABOUT_WAYS,
         by_method(results, lambda row: f'{row["ate_mean_percent"]:.2f} '
                                        f'({row["ate_max_percent"]:.2f})'),
