@@ -209,7 +209,7 @@ DATA_FILES = [
     ('share/' + NAME + '/config', sorted(filter(os.path.isfile, glob('config/*')))),
 ]
 # colcon leaves bin to what is no script of a node, pip what CMake makes of the messages.
-OTHERS = ([('bin', ['.setup/bin/mv_slapse'])] if BY_COLCON else
+OTHERS = ([('bin', ['mv_slapse/launch/mv_slapse'])] if BY_COLCON else
           [('share/mv_slapse_msgs/msg', sorted(glob('msg_defs/msg/*.msg')))])
 SCRIPTS = [PROGRAM, *(f'{node} = mv_slapse.nodes.{node}:main' for node in NODES if BY_COLCON)]
 
