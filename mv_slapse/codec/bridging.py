@@ -19,7 +19,6 @@ RETURN = 0.5  # px, how near the search back must end to where the search began
 LEVELS = 3
 SPARSE, LEAST = 7, 10  # every so many macroblocks; so many tell whether the pictures changed
 EXCUSED = 1.0  # px of motion that an encoder may leave out to save bits
-ALIKE = 1.0  # grey levels: dim halls have 5 and more, noise of 8 levels a pixel has 0.5
 FLAT = 1e-4  # smallest eigenvalue of a macroblock that has texture in two directions
 
 
@@ -29,9 +28,10 @@ def can_bridge(segment: Segment) -> bool:
 
 
 def can_search(segment: Segment) -> bool:
-    """Return whether both pictures are there, near, whole and of one size."""
+    """Return whether both pictures are there, near, whole, of one size, and show something."""
     return (segment.previous.luma is not None
             and segment.current.luma is not None and not segment.current.damage
+            and not (segment.previous.is_blank or segment.current.is_blank)
             and segment.previous.luma.shape == segment.current.luma.shape
             and 0 < segment.current.stamp - segment.previous.stamp <= LONGEST)
 
@@ -49,23 +49,6 @@ def is_untrue(segment: Segment) -> bool:
     there, found = _follow(segment.current.luma, segment.previous.luma, x, x)
     way = np.abs(there - x).max(axis=1)[found]
     return bool(len(way) >= LEAST and np.median(way) > EXCUSED)
-
-
-def is_blank(segment: Segment) -> bool:
-    """Return whether one of the pictures shows nothing, as of a covered lens, darkness or fog.
-
-    Its macroblocks are all as bright, but for the camera's noise, of which means have little. Its
-    vectors, zero or by chance, are of nothing that stands or moves.
-    """
-    return any(frame.luma is not None and _contrast(frame.luma) < ALIKE
-               for frame in (segment.previous, segment.current))
-
-
-def _contrast(luma: np.ndarray) -> float:
-    """Return the standard deviation of the brightness of macroblocks [grey levels]."""
-    height, width = luma.shape
-    size = max(width // MACROBLOCK, 1), max(height // MACROBLOCK, 1)
-    return float(cv2.resize(luma, size, interpolation=cv2.INTER_AREA).std())
 
 
 def search(segment: Segment, expect: MotionPrior, settings: DecoderSettings) -> Evidence:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from mv_slapse.codec.bridging import can_bridge, is_blank, is_untrue, search
+from mv_slapse.codec.bridging import can_bridge, is_untrue, search
 from mv_slapse.codec.chaining import Chainer, median_flow
 from mv_slapse.codec.evidence import collect, Evidence, halves
 from mv_slapse.codec.frames import FrameDecoder
@@ -21,7 +21,6 @@ import numpy as np
 LEARNING = 0.1  # share of the newest segment in p: what ten segments tell is not of one picture
 POOR = 0.5  # share of the usual matches at which an I frame's B frames have told too little
 UNTRUE = 'all motion vectors are zero, but the pictures change: the encoder did not search'
-BLANK = 'the picture shows nothing, all of it is alike: a covered lens, darkness or fog'
 SPLIT_FOCAL = 500.0  # px, focal length that split_flow is meant for; a longer one needs more
 RIGHT = 0.05, 0.99  # bounds of p, where Lemma 2 still has a value
 
@@ -71,8 +70,6 @@ class CorrespondenceDecoder:
 
     def _pairs(self, segment: Segment) -> list[Correspondences]:
         """Merge a segment and learn from it what to expect of the next."""
-        if segment.kind is not SegmentKind.BROKEN and is_blank(segment):
-            segment = replace(segment, kind=SegmentKind.BROKEN, reason=BLANK, is_torn=True)
         if segment.kind is SegmentKind.BROKEN:
             pairs = [self._bridged(segment) or self._broken(segment)]
         else:

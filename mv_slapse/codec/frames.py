@@ -4,11 +4,13 @@ from collections import deque
 
 import av
 from av.sidedata.sidedata import SideDataContainer
+import cv2
 from mv_slapse.codec import bitstream, places
 from mv_slapse.codec.motion_vectors import columns, FrameVectors
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.places import Continuity, forget, KEPT
 from mv_slapse.errors import UnusableInput
+from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.records import FrameType
 import numpy as np
 
@@ -17,6 +19,7 @@ ZERO_IN_B = ('mpeg4', 'h263')  # FFmpeg exports the blocks of B frames, their ve
 MAX_PIXELS = 64_000_000
 LONGEST_REORDERING = 2_000_000_000  # ns; a stamp farther back is a source that began again
 LAST_STAMP = (2**31 - 1) * 10**9  # ns: 68 years, the seconds of messages have 32 bits
+ALIKE = 1.0  # grey levels: dim halls have 5 and more, noise of 8 levels a pixel has 0.5
 COPIES = 16  # packets within which a network delivers one twice: half a second
 CURE = ('re-encode it, for instance with: ffmpeg -i INPUT -c:v libx264 -refs 1 -bf 0 -g 30 '
         'OUTPUT.mp4, or: ffmpeg -i INPUT -c:v mpeg2video -q:v 3 -bf 3 -g 12 OUTPUT.mpg')
@@ -94,7 +97,7 @@ class FrameDecoder:
 
     def _begins_another(self, packet: Packet) -> bool:
         """Tell whether a publisher goes on in another codec, from a key picture on."""
-        return _opened(packet) != self._codec and packet.is_key
+        return packet.is_key and _opened(packet) != self._codec
 
     def _open(self, packet: Packet):
         self._codec = codec = _opened(packet)
@@ -159,11 +162,13 @@ class FrameDecoder:
             else:
                 damage = damage or 'the decoder calls the picture corrupt'
         table = columns(None if exported is None else np.frombuffer(exported, np.uint8))
-        is_kept = self._of_all or self._with_luma and kind is not FrameType.B
+        is_key = kind is not FrameType.B
+        luma = _luma(picture) if self._of_all or self._with_luma and is_key else None
         return FrameVectors(stamp, kind, picture.width, picture.height, references=references,
                             is_reference=place.is_reference,
                             is_predicted=self._context.name == 'h264', damage=damage,
-                            luma=_luma(picture) if is_kept else None, **table)
+                            luma=luma,
+                            is_blank=luma is not None and is_key and _is_blank(luma), **table)
 
 
 class _Stamps:
@@ -223,3 +228,15 @@ def _luma(picture: av.VideoFrame) -> np.ndarray:
     if bits > 8:
         rows = (rows.view(np.uint16) >> (bits - 8)).astype(np.uint8)
     return rows[:picture.height, :picture.width]
+
+
+def _is_blank(luma: np.ndarray) -> bool:
+    """Return whether a picture shows nothing, as of a covered lens, darkness or fog.
+
+    Its macroblocks are all as bright, but for the camera's noise, of which means have little. Its
+    vectors, zero or by chance, are of nothing that stands or moves.
+    """
+    rows, columns = (max(side // MACROBLOCK, 1) for side in luma.shape)
+    # Whole macroblocks alone: OpenCV takes means ten times as fast where a ratio is whole.
+    whole = luma[:rows * MACROBLOCK, :columns * MACROBLOCK]
+    return float(cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA).std()) < ALIKE

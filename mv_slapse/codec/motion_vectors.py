@@ -33,6 +33,7 @@ class FrameVectors:
     damage: str = ''  # why the vectors cannot be joined to the pictures before, else empty
     # (height, width) uint8: grey picture, kept only where pixels may be asked
     luma: np.ndarray | None = None
+    is_blank: bool = False  # whether a key picture that was looked at shows nothing
 
     def __len__(self) -> int:
         """Return the number of vectors."""

@@ -9,6 +9,7 @@ from mv_slapse.records import FrameType, SegmentKind
 SHORTEST = 100_000  # ns between pictures; no camera takes 10,000 a second
 NOT_STAMPED = ('time stamps do not increase; what publishes or records the pictures must stamp '
                'each with its own time')
+BLANK = 'the picture shows nothing, all of it is alike: a covered lens, darkness or fog'
 MOST_BETWEEN = 64  # B frames that are kept: no encoder has more in a row
 LONGEST = 1_000_000_000  # ns between key frames; no encoder searches so far
 
@@ -82,4 +83,4 @@ def _why_broken(previous: FrameVectors, between: tuple[FrameVectors, ...],
         return 'the key frames lie too far apart for vectors: pictures between them were lost'
     if current.frame_type is FrameType.I and not any(len(frame) for frame in between):
         return 'an I frame without B frames before it: no vector joins it to the past'
-    return ''
+    return BLANK if previous.is_blank or current.is_blank else ''

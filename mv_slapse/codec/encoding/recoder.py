@@ -29,7 +29,7 @@ class PictureDecoder:
         A packet that cannot be decoded gives nothing, nor do the pictures after it up to one that
         needs no other. Raises UnusableInput where FFmpeg has no decoder for the codec.
         """
-        if self._context is None or codec_of(packet) != self.codec and packet.is_key:
+        if self._context is None or packet.is_key and codec_of(packet) != self.codec:
             self._open(packet)
         self._count += 1
         self._stamps[self._count] = packet.stamp
