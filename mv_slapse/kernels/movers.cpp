@@ -448,7 +448,8 @@ struct HistoryRules {
 
 // Sums the scores of regions over pairs and tells whom each continues: total and departed score
 // (R,), (R,), id of the mover or the stationary plane that it was (R,), whether that was called
-// moving (R,), and the new scores of all blocks (N,), (N,). What is in no region this time is not forgotten at once.
+// moving (R,), and the new scores of all blocks (N,), (N,). What is in no region this time is not
+// forgotten at once.
 py::tuple histories(const py::object& regions, const py::object& scores_, const py::object& leaves_,
                     const py::object& before, const py::object& plane_id, std::int64_t ground,
                     const py::object& constants) {

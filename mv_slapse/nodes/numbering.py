@@ -8,12 +8,12 @@ from mv_slapse.message_checks import MAX_ITEMS
 from mv_slapse.nodes.qos import LATCHED, subscribe
 from mv_slapse.nodes.shell import Shell
 from mv_slapse.records import Extraction
+from mv_slapse.storage.archives import BLOCK
 from mv_slapse_msgs.msg import PlaneMap
 import numpy as np
 
 TOPIC = 'planes/map'
 WAIT = 1.0  # [s] after the start for the map of a slam that may have been running before
-BLOCK = 2_000_000  # ids of one extraction: planes from 0, movers from 100,000
 
 
 class Numbering:

@@ -2,9 +2,9 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any
 
 from mv_slapse.records import TrackingStatus, WITH_POSE
+from mv_slapse.scene.scale.rest import Stop
 import numpy as np
 
 SHORTEST = 1e-4  # s between key frames, as the decoder has it; less shows a clock that stands
@@ -25,8 +25,8 @@ class Progress:
     the depths; ``interval`` [s]: between the last two key frames; ``age`` [s]: since the camera
     first moved, ``told`` [s]: what that was when a ground told metres last; ``going`` [s]: since
     the camera started to move; ``place``: position (3,) that was published last; ``unit``: what
-    was one unit of length at the beginning [map unit]; ``stop``: one that is
-    doubted (scale.rest.Stop).
+    was one unit of length at the beginning [map unit]; ``stop``: the last one, which may be
+    doubted.
     """
 
     stamp: int
@@ -43,7 +43,7 @@ class Progress:
     started: bool = False
     carried: bool = False
     rested: bool = False
-    stop: Any = None
+    stop: Stop | None = None
     anew: bool = False
     resets: int = 0
     repairs: int = 0

@@ -17,7 +17,7 @@ import numpy as np
 
 SCHEMA_VERSION = 1
 MOST_PLANES = 10_000  # in map.json, about 20 MB; the oldest go first
-IDS = 2_000_000  # more than one filter gives, as nodes.numbering has it
+BLOCK = 2_000_000  # ids of one extraction: planes from 0, movers from 100,000
 LARGEST_MAP = 1 << 26  # bytes
 UNIT = 1e-3  # by which a normal may be none
 FARTHEST = 1e9  # [m or map unit]
@@ -102,7 +102,7 @@ class MapArchive:
         """Keep what there is beside a map that begins: its planes are numbered from zero again."""
         self._leave(self._current.values())
         self._current = {}
-        self._offset += IDS
+        self._offset += BLOCK
 
     def add(self, scene: SceneEstimate):
         """Take the map after a key frame."""
