@@ -7,7 +7,7 @@ from mv_slapse.codec.bridging import can_bridge, is_untrue, search
 from mv_slapse.codec.chaining import Chainer, median_flow
 from mv_slapse.codec.evidence import collect, Evidence, halves
 from mv_slapse.codec.frames import FrameDecoder
-from mv_slapse.codec.merging import average, match_probability, merge, seen
+from mv_slapse.codec.merging import average, match_probability, merge, refined, seen
 from mv_slapse.codec.motion_vectors import FrameVectors
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.prior import MotionPrior
@@ -112,7 +112,8 @@ class CorrespondenceDecoder:
         return parts
 
     def _merge(self, segment: Segment, evidence: Evidence) -> Correspondences:
-        return merge(segment, evidence, self._settings, self._expect, self._right)
+        pair = merge(segment, evidence, self._settings, self._expect, self._right)
+        return refined(pair, segment, self._settings)
 
     def _bridged(self, segment: Segment) -> Correspondences | None:
         """Search an I frame's macroblocks in the key frame before it; None where that fails."""

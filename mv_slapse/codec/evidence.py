@@ -56,7 +56,12 @@ def _joining(segment: Segment) -> tuple[FrameVectors, ...]:
 
 def is_ambiguous(segment: Segment) -> bool:
     """Return whether some vector may point to another picture than the key frames."""
-    return max(frame.references for frame in (*segment.between, segment.current)) > 1
+    return references(segment) > 1
+
+
+def references(segment: Segment) -> int:
+    """Return how many pictures a vector may point to, at most."""
+    return max(frame.references for frame in (*segment.between, segment.current))
 
 
 def _bend(segment: Segment, frame: FrameVectors, settings: DecoderSettings) -> tuple:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from math import sqrt
 
-from mv_slapse.codec.evidence import Evidence, is_ambiguous
+from mv_slapse.codec.evidence import Evidence, is_ambiguous, references
 from mv_slapse.codec.prior import MotionPrior
 from mv_slapse.codec.segments import Segment
 from mv_slapse.config import DecoderSettings
@@ -59,6 +59,26 @@ def average(segment: Segment, evidence: Evidence, settings: DecoderSettings,
         len(segment.between), x_cur=x, x_prev=x + vector,
         sigma=settings.vector_sigma * np.sqrt(variance),
         probability=probability, block=np.full((len(x), 2), MACROBLOCK, np.uint8))
+
+
+def refined(pair: Correspondences, segment: Segment,
+            settings: DecoderSettings) -> Correspondences:
+    """Return a pair of an ambiguous segment with its short vectors as the two pictures tell.
+
+    Over two or three pictures a slow turn is hardly longer than over one, so that such vectors
+    agree with right ones, and their mean is too long. Of `n` reference pictures those vectors may
+    be wrong over which n pictures differ from n - 1 by no more than vectors that agree may. Where
+    one of the two pictures is not known the pair stays as it is.
+    """
+    now, before, n = segment.current.luma, segment.previous.luma, references(segment)
+    if n < 2 or now is None or before is None or now.shape != before.shape:
+        return pair
+    left = 1 - n * settings.agreement_tolerance
+    longest = n * settings.agreement_slack / left if left > 0 else np.inf
+    short = np.linalg.norm(pair.x_prev - pair.x_cur, axis=1) <= longest
+    x_prev = pair.x_prev.copy()
+    x_prev[short] = compiled.refine(now, before, pair.x_cur[short], x_prev[short])
+    return replace(pair, x_prev=x_prev)
 
 
 def seen(pair: Correspondences, segment: Segment) -> Correspondences:

@@ -10,9 +10,10 @@ namespace kernels {
 namespace {
 
 constexpr int WIDTH = MACROBLOCK, HEIGHT = 4;  // px, of a strip
-constexpr int STRIPS = MACROBLOCK / HEIGHT, PIXELS = WIDTH * HEIGHT;
+constexpr int STRIPS = MACROBLOCK / HEIGHT;
 constexpr int STEPS = 3;        // from a vector that is right to half a pixel
 constexpr float NOISE = 3;      // grey levels, by which a picture differs from its match at least
+constexpr float SURE = 1 / (NOISE * NOISE);  // information of a grey level
 constexpr float SHARE = 15;     // of squared residuals: side by side they are alike, see texture.cpp
 constexpr float OUTWARDS = 1;   // px, how far from where the search begins a right vector may lie
 constexpr float SHARP = 0.3f;   // px, sigma up to which a strip tells more than its macroblock
@@ -66,9 +67,11 @@ py::object expansion(const py::object& places, const py::object& matches,
   return out.array();
 }
 
-// Values of a strip, a row after another; sums go down the columns first, so that they are the same
-// in registers of any width.
+// Values of a strip or macroblock, a row after another; sums go down the columns first, so that they
+// are the same in registers of any width.
+template <int HEIGHT>
 struct Patch {
+  static constexpr int PIXELS = WIDTH * HEIGHT;
   float value[PIXELS];
 };
 
@@ -78,7 +81,8 @@ KERNELS_INLINE float sum(const float (&column)[WIDTH]) {
   return out;
 }
 
-KERNELS_INLINE float product(const Patch& a, const Patch& b) {
+template <int HEIGHT>
+KERNELS_INLINE float product(const Patch<HEIGHT>& a, const Patch<HEIGHT>& b) {
   float column[WIDTH]{};
   for (int j = 0; j < HEIGHT; ++j)
     for (int i = 0; i < WIDTH; ++i)
@@ -86,17 +90,20 @@ KERNELS_INLINE float product(const Patch& a, const Patch& b) {
   return sum(column);
 }
 
-KERNELS_INLINE void take_mean_off(Patch& patch) {
+template <int HEIGHT>
+KERNELS_INLINE void take_mean_off(Patch<HEIGHT>& patch) {
   float column[WIDTH]{};
   for (int j = 0; j < HEIGHT; ++j)
     for (int i = 0; i < WIDTH; ++i) column[i] += patch.value[j * WIDTH + i];
-  const float mean = sum(column) / PIXELS;
-  for (int k = 0; k < PIXELS; ++k) patch.value[k] -= mean;
+  const float mean = sum(column) / patch.PIXELS;
+  for (float& value : patch.value) value -= mean;
 }
 
-// What a strip differs by, less the mean, from that of a picture whose first pixel lies at x, between
+// What a patch differs by, less the mean, from that of a picture whose first pixel lies at x, between
 // pixels; false outside.
-KERNELS_INLINE bool compare(const Picture& picture, Vec2 x, const Patch& strip, Patch& out) {
+template <int HEIGHT>
+KERNELS_INLINE bool compare(const Picture& picture, Vec2 x, const Patch<HEIGHT>& patch,
+                            Patch<HEIGHT>& out) {
   const int left = floor_of(x.x), top = floor_of(x.y);
   if (left < 0 || top < 0 || left + WIDTH >= picture.width || top + HEIGHT >= picture.height)
     return false;
@@ -106,7 +113,7 @@ KERNELS_INLINE bool compare(const Picture& picture, Vec2 x, const Patch& strip, 
     for (int i = 0; i < WIDTH; ++i) {
       const float one = upper[i], next = upper[i + 1], below = lower[i], last = lower[i + 1];
       const float over = one + a * (next - one), under = below + a * (last - below);
-      out.value[j * WIDTH + i] = strip.value[j * WIDTH + i] - (over + b * (under - over));
+      out.value[j * WIDTH + i] = patch.value[j * WIDTH + i] - (over + b * (under - over));
     }
   }
   take_mean_off(out);
@@ -149,31 +156,58 @@ struct Strip {
   float variance;
 };
 
+template <int HEIGHT>
+struct Shown {  // what a patch shows, and its gradients less their means
+  Patch<HEIGHT> value, by_x, by_y;
+  Symmetric texture;
+};
+
+// Of the patch whose first pixel lies at (left, top); false where the picture ends there.
+template <int HEIGHT>
+KERNELS_INLINE bool look(const Picture& picture, int left, int top, Shown<HEIGHT>& out) {
+  if (left < 1 || top < 1 || left + WIDTH >= picture.width || top + HEIGHT >= picture.height)
+    return false;
+  for (int j = 0; j < HEIGHT; ++j) {
+    const std::uint8_t *row = picture.row(top + j) + left, *above = picture.row(top + j - 1) + left,
+                       *below = picture.row(top + j + 1) + left;
+    for (int i = 0; i < WIDTH; ++i) {
+      out.value.value[j * WIDTH + i] = row[i];
+      out.by_x.value[j * WIDTH + i] = 0.5f * static_cast<float>(row[i + 1] - row[i - 1]);
+      out.by_y.value[j * WIDTH + i] = 0.5f * static_cast<float>(below[i] - above[i]);
+    }
+  }
+  take_mean_off(out.by_x);
+  take_mean_off(out.by_y);
+  out.texture = {product(out.by_x, out.by_x), product(out.by_x, out.by_y),
+                 product(out.by_y, out.by_y)};
+  return true;
+}
+
+// One step of a vector towards what a patch shows, and away from where it began as it is known;
+// false where the other picture ends. What the patch differs by is left in `apart`.
+template <int HEIGHT>
+KERNELS_INLINE bool step(const Picture& then, Vec2 corner, const Shown<HEIGHT>& patch,
+                         const Symmetric& known, Vec2 start, Patch<HEIGHT>& apart, Vec2& vector) {
+  if (!compare(then, corner + vector, patch.value, apart)) return false;
+  const Vec2 slope{product(patch.by_x, apart), product(patch.by_y, apart)};
+  vector = vector +
+           solve(SURE * patch.texture + known, SURE * slope - known * (vector - start));
+  return true;
+}
+
 // The vector of the strip whose first pixel lies at (left, top), from the best of some; false where
 // it is not sharp or leaves one of the pictures.
 KERNELS_WIDE bool find(const Picture& now, const Picture& then, int left, int top,
                        const Symmetric& known, const std::vector<Vec2>& starts, Strip& out) {
-  if (left < 1 || top < 1 || left + WIDTH >= now.width || top + HEIGHT >= now.height) return false;
-  Patch strip, by_x, by_y, apart;
-  for (int j = 0; j < HEIGHT; ++j) {
-    const std::uint8_t *row = now.row(top + j) + left, *above = now.row(top + j - 1) + left,
-                       *below = now.row(top + j + 1) + left;
-    for (int i = 0; i < WIDTH; ++i) {
-      strip.value[j * WIDTH + i] = row[i];
-      by_x.value[j * WIDTH + i] = 0.5f * static_cast<float>(row[i + 1] - row[i - 1]);
-      by_y.value[j * WIDTH + i] = 0.5f * static_cast<float>(below[i] - above[i]);
-    }
-  }
-  take_mean_off(by_x);
-  take_mean_off(by_y);
-  const Symmetric texture{product(by_x, by_x), product(by_x, by_y), product(by_y, by_y)};
-  constexpr float sure = 1 / (NOISE * NOISE);
-  if (variance(sure * texture + known) >= SHARP * SHARP) return false;  // whatever the other shows
+  Shown<HEIGHT> strip;
+  Patch<HEIGHT> apart;
+  if (!look(now, left, top, strip)) return false;
+  if (variance(SURE * strip.texture + known) >= SHARP * SHARP) return false;  // whatever is there
   const Vec2 corner{static_cast<float>(left), static_cast<float>(top)};
   Vec2 start{};
   float best = INFINITY;
   for (const Vec2& each : starts) {
-    if (!compare(then, corner + each, strip, apart)) continue;
+    if (!compare(then, corner + each, strip.value, apart)) continue;
     const float misfit = product(apart, apart);
     if (misfit < best) {
       best = misfit;
@@ -182,16 +216,45 @@ KERNELS_WIDE bool find(const Picture& now, const Picture& then, int left, int to
   }
   if (!std::isfinite(best)) return false;
   Vec2 vector = start;
-  for (int step = 0; step < STEPS; ++step) {
-    if (!compare(then, corner + vector, strip, apart)) return false;
-    const Vec2 slope = sure * Vec2{product(by_x, apart), product(by_y, apart)};
-    vector = vector + solve(sure * texture + known, slope - known * (vector - start));
-  }
-  if (!compare(then, corner + vector, strip, apart)) return false;
-  const float noise = NOISE * NOISE + SHARE * product(apart, apart) / PIXELS;
+  for (int k = 0; k < STEPS; ++k)
+    if (!step(then, corner, strip, known, start, apart, vector)) return false;
+  if (!compare(then, corner + vector, strip.value, apart)) return false;
+  const float noise = NOISE * NOISE + SHARE * product(apart, apart) / apart.PIXELS;
   const Vec2 middle{0.5f * (WIDTH - 1), 0.5f * (HEIGHT - 1)};
-  out = {corner + middle, vector, variance(1 / noise * texture + known)};
+  out = {corner + middle, vector, variance(1 / noise * strip.texture + known)};
   return out.variance < SHARP * SHARP;
+}
+
+// The vector that two pictures tell of the macroblock around x, from one that may be off by a pixel;
+// that one where a picture ends.
+KERNELS_WIDE Vec2 refined(const Picture& now, const Picture& then, Vec2 x, Vec2 start) {
+  constexpr Symmetric known{1 / (OUTWARDS * OUTWARDS), 0, 1 / (OUTWARDS * OUTWARDS)};
+  const int left = floor_of(x.x) - WIDTH / 2 + 1, top = floor_of(x.y) - MACROBLOCK / 2 + 1;
+  const Vec2 corner{static_cast<float>(left), static_cast<float>(top)};
+  Shown<MACROBLOCK> shown;
+  Patch<MACROBLOCK> apart;
+  if (!look(now, left, top, shown)) return start;
+  Vec2 vector = start;
+  for (int k = 0; k < STEPS; ++k)
+    if (!step(then, corner, shown, known, start, apart, vector)) return start;
+  return vector;
+}
+
+// Matches (N, 2) float32 [px] of macroblocks around x_cur, as the two pictures tell, near those given.
+py::object refine(const py::object& picture, const py::object& before, const py::object& places,
+                  const py::object& matches) {
+  const char* name = "refine";
+  const auto now = Picture::of(name, "now", picture), then = Picture::of(name, "before", before);
+  require(now && then, name, "both pictures must be there");
+  const In<float> x_cur(name, "x_cur", places, {ANY, 2}, Check::finite);
+  const In<float> x_prev(name, "x_prev", matches, {x_cur.size(), 2}, Check::finite);
+  Out<float> out({x_cur.size(), 2});
+  for (py::ssize_t i = 0; i < x_cur.size(); ++i) {
+    const Vec2 x = at(x_cur, i), there = x + refined(*now, *then, x, at(x_prev, i) - x);
+    out[2 * i] = there.x;
+    out[2 * i + 1] = there.y;
+  }
+  return out.array();
 }
 
 struct Columns {  // of a pair, as they grow
@@ -263,5 +326,6 @@ py::tuple strips(const py::object& picture, const py::object& before, const py::
 
 void bind_strips(kernels::py::module_& module) {
   module.def("expansion", kernels::expansion);
+  module.def("refine", kernels::refine);
   module.def("strips", kernels::strips);
 }

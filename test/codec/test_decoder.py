@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import cv2
 from mv_slapse.codec import decoder, evidence
 from mv_slapse.codec.decoder import CorrespondenceDecoder
 from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
@@ -11,6 +12,7 @@ import numpy as np
 import pictures
 import pytest
 from reliability import clips
+from scipy import ndimage
 
 MPEG2 = Encoding('mpeg2video', 3, 12)
 EACH = DecoderSettings(max_chain=1)
@@ -39,6 +41,20 @@ def test_correspondences_are_the_motion_of_the_pictures(rng, encoding, settings)
     assert pairs[0].previous_stamp == 0
     assert pairs[-1].stamp == 14 * 40_000_000
     assert all(a.stamp == b.previous_stamp for a, b in zip(pairs, pairs[1:], strict=False))
+
+
+def test_a_slow_motion_is_not_too_long_with_several_reference_pictures(rng):
+    # x264 takes vectors from older pictures here: 0.4 times too long in the mean.
+    way = np.array([0.4, 0.1])
+    shown = np.fft.fft2(cv2.GaussianBlur(pictures.texture(rng)[:240, :320], (0, 0), 2))
+    noisy = (np.fft.ifft2(ndimage.fourier_shift(shown, k * way[::-1])).real
+             + rng.normal(0, 2, shown.shape) for k in range(15))
+    images = (np.repeat(np.clip(one, 0, 255).astype(np.uint8)[..., None], 3, 2) for one in noisy)
+    coded = encode(images, 25, Encoding('h264', 0, 250, {'x264-params': 'ref=3:threads=1'}))
+    pairs = decoded(coded)[3:]
+    vectors = np.concatenate([pair.x_cur - pair.x_prev for pair in pairs])
+    assert len(vectors) > 200 * len(pairs)
+    np.testing.assert_allclose(vectors.mean(axis=0), way, atol=0.1)
 
 
 def test_columns_are_float32_and_of_one_length(rng):

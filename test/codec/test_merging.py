@@ -1,6 +1,7 @@
 from dataclasses import replace
 from itertools import product
 
+import cv2
 import formulas
 from mv_slapse.codec import merging
 from mv_slapse.codec.evidence import Evidence
@@ -11,6 +12,7 @@ from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
 import pytest
+from scipy import ndimage
 
 IP, PP, PI = SegmentKind.IP, SegmentKind.PP, SegmentKind.PI
 SETTINGS = DecoderSettings()
@@ -223,6 +225,56 @@ def test_a_lone_vector_over_several_pictures_says_nothing(n_b, references, share
                            DecoderSettings(lone_probability=share))
     assert len(pair) == 79
     assert not pair.lone.any()
+
+
+def slid(rng, references, shift=(0.75, -0.5)):
+    """Return a segment whose picture has moved by a shift, and a pair that says half more.
+
+    The left half of the pair's vectors are longer by 6 px.
+    """
+    ground = cv2.GaussianBlur(rng.normal(0, 40, (HEIGHT, WIDTH)), (0, 0), 2)
+    shown = np.fft.fft2(128 + 40 * ground / ground.std())
+    now, before = (np.clip(np.fft.ifft2(ndimage.fourier_shift(shown, move)).real, 0, 255)
+                   .astype(np.uint8) for move in ((0, 0), shift[::-1]))
+    evidence = lattice(lambda x: np.full_like(x, 0) + 1.5 * np.array(shift))
+    segment = segment_of(evidence, references=references)
+    segment = replace(segment, current=replace(segment.current, luma=now),
+                      previous=replace(segment.previous, luma=before))
+    x = evidence.x_cur
+    there = x + evidence.vector + np.float32([6, 0]) * (x[:, :1] < WIDTH / 2)
+    return segment, merging.average(segment, replace(
+        evidence, vector=(there - x).astype(np.float32)), SETTINGS)
+
+
+def test_short_vectors_of_several_references_are_those_of_the_pictures(rng):
+    segment, pair = slid(rng, 3)
+    found = merging.refined(pair, segment, SETTINGS)
+    inner = np.all((pair.x_cur > 16) & (pair.x_cur < (WIDTH - 16, HEIGHT - 16)), axis=1)
+    long = pair.x_cur[:, 0] < WIDTH / 2
+    np.testing.assert_array_equal(found.x_prev[long], pair.x_prev[long])
+    np.testing.assert_allclose((found.x_prev - found.x_cur)[inner & ~long],
+                               np.broadcast_to([0.75, -0.5], (np.sum(inner & ~long), 2)),
+                               atol=0.1)
+    assert np.all(pair.x_prev[~long] - pair.x_cur[~long] == np.float32([1.125, -0.75]))
+
+
+@pytest.mark.parametrize(('references', 'tolerance', 'moved'), [
+    (1, 0.1, False), (2, 0.1, False), (6, 0.1, True), (3, 0.5, True)])
+def test_the_more_references_the_longer_vectors_may_be_wrong(rng, references, tolerance, moved):
+    segment, pair = slid(rng, references)
+    found = merging.refined(pair, segment, replace(SETTINGS, agreement_tolerance=tolerance))
+    long = pair.x_cur[:, 0] < WIDTH / 2  # 7.2 px
+    assert np.any(found.x_prev[long] != pair.x_prev[long]) == moved
+
+
+@pytest.mark.parametrize('unknown', [
+    {'current': {'luma': None}}, {'previous': {'luma': None}},
+    {'previous': {'luma': np.zeros((HEIGHT, WIDTH + 16), np.uint8)}}])
+def test_without_both_pictures_vectors_of_several_references_stay(rng, unknown):
+    segment, pair = slid(rng, 3)
+    segment = replace(segment, **{which: replace(getattr(segment, which), **change)
+                                  for which, change in unknown.items()})
+    assert merging.refined(pair, segment, SETTINGS) is pair
 
 
 def test_nothing_but_lone_vectors_is_nothing(rng):

@@ -1,4 +1,4 @@
-"""Strips of macroblocks in numpy, see kernels/strips.cpp."""
+"""Strips of macroblocks, and whole ones, in numpy, see kernels/strips.cpp."""
 
 import cv2
 from mv_slapse.geometry.blocks import MACROBLOCK
@@ -7,49 +7,78 @@ import numpy as np
 HEIGHT, STEPS, NOISE, SHARE, OUTWARDS, SHARP, NEAR = 4, 3, 3.0, 15.0, 1.0, 0.3, 8.0
 
 
-def patch(picture, left, top):
-    """Grey levels of a strip whose first pixel lies between pixels; None outside."""
+def patch(picture, left, top, rows):
+    """Grey levels of a patch whose first pixel lies between pixels; None outside."""
     height, width = picture.shape
     x, y = int(np.floor(left)), int(np.floor(top))
-    if x < 0 or y < 0 or x + MACROBLOCK >= width or y + HEIGHT >= height:
+    if x < 0 or y < 0 or x + MACROBLOCK >= width or y + rows >= height:
         return None
     a, b = left - x, top - y
-    part = picture[y:y + HEIGHT + 1, x:x + MACROBLOCK + 1].astype(float)
+    part = picture[y:y + rows + 1, x:x + MACROBLOCK + 1].astype(float)
     part = (1 - a) * part[:, :-1] + a * part[:, 1:]
     return (1 - b) * part[:-1] + b * part[1:]
 
 
-def find(now, before, left, top, known, starts):
-    """Vector and variance of a strip; None where it leaves a picture."""
-    height, width = now.shape
-    if left < 1 or top < 1 or left + MACROBLOCK >= width or top + HEIGHT >= height:
-        return None
-    around = now[top - 1:top + HEIGHT + 1, left - 1:left + MACROBLOCK + 1].astype(float)
-    slopes = around[1:-1, 2:] - around[1:-1, :-2], around[2:, 1:-1] - around[:-2, 1:-1]
-    J = np.stack([slope / 2 - slope.mean() / 2 for slope in slopes], -1).reshape(-1, 2)
+class Search:
+    """Least squares matching of a patch; gradients (N, 2) are None where a picture ends."""
 
-    def apart(vector):
-        there = patch(before, left + vector[0], top + vector[1])
+    def __init__(self, now, before, left, top, rows):
+        self.before, self.left, self.top, self.rows = before, left, top, rows
+        self.gradients = None
+        height, width = now.shape
+        if left < 1 or top < 1 or left + MACROBLOCK >= width or top + rows >= height:
+            return
+        around = now[top - 1:top + rows + 1, left - 1:left + MACROBLOCK + 1].astype(float)
+        self.shown = around[1:-1, 1:-1]
+        slopes = around[1:-1, 2:] - around[1:-1, :-2], around[2:, 1:-1] - around[:-2, 1:-1]
+        self.gradients = np.stack(
+            [slope / 2 - slope.mean() / 2 for slope in slopes], -1).reshape(-1, 2)
+
+    def apart(self, vector):
+        """What the patch differs by, less the mean; None where the other picture ends."""
+        there = patch(self.before, self.left + vector[0], self.top + vector[1], self.rows)
         if there is None:
             return None
-        difference = around[1:-1, 1:-1] - there
+        difference = self.shown - there
         return (difference - difference.mean()).ravel()
 
-    misfits = [(np.sum(apart(start)**2), k) for k, start in enumerate(starts)
-               if apart(start) is not None]
+    def ends_at(self, start, known):
+        """Vector after all steps from one that is known so well."""
+        J, vector = self.gradients, np.array(start, float)
+        for _ in range(STEPS):
+            if self.apart(vector) is None:
+                return None
+            slope = J.T @ self.apart(vector) / NOISE**2 - known @ (vector - start)
+            vector += np.linalg.solve(J.T @ J / NOISE**2 + known, slope)
+        return vector
+
+
+def find(now, before, left, top, known, starts):
+    """Vector and variance of a strip; None where it leaves a picture."""
+    search = Search(now, before, left, top, HEIGHT)
+    if search.gradients is None:
+        return None
+    misfits = [(np.sum(search.apart(start)**2), k) for k, start in enumerate(starts)
+               if search.apart(start) is not None]
     if not misfits:
         return None
-    start = np.array(starts[min(misfits)[1]], float)
-    vector = start.copy()
-    for _ in range(STEPS):
-        if apart(vector) is None:
-            return None
-        vector += np.linalg.solve(J.T @ J / NOISE**2 + known,
-                                  J.T @ apart(vector) / NOISE**2 - known @ (vector - start))
-    if apart(vector) is None:
+    vector = search.ends_at(starts[min(misfits)[1]], known)
+    if vector is None or search.apart(vector) is None:
         return None
-    noise = NOISE**2 + SHARE * np.mean(apart(vector)**2)
+    noise, J = NOISE**2 + SHARE * np.mean(search.apart(vector)**2), search.gradients
     return vector, 1 / np.linalg.eigvalsh(J.T @ J / noise + known)[0]
+
+
+def refine(now, before, x_cur, x_prev):
+    """Matches (N, 2) of macroblocks as the pictures tell, near those given."""
+    out = np.array(x_prev, float)
+    for x, match in zip(x_cur, out, strict=True):
+        left, top = np.floor(x).astype(int) - 7
+        search = Search(now, before, left, top, MACROBLOCK)
+        if search.gradients is not None:
+            vector = search.ends_at(match - x, np.eye(2) / OUTWARDS**2)
+            match[:] = match if vector is None else x + vector
+    return out
 
 
 def beforehand(off, across):

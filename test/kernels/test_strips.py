@@ -6,6 +6,7 @@ from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 import pytest
+from scipy import ndimage
 
 WIDTH, HEIGHT = 176, 112
 CENTRES = grid_centres(WIDTH, HEIGHT).astype(np.float32)
@@ -95,6 +96,41 @@ def test_vectors_that_lead_out_of_the_picture_are_no_error(rng):
         assert all(np.all(np.isfinite(column)) for column in found)
 
 
+def moved(rng, shift):
+    """Two pictures, of which what shows at x in the first lies at x + shift in the second [px]."""
+    now = picture(rng, WIDTH, HEIGHT)
+    there = np.fft.ifft2(ndimage.fourier_shift(np.fft.fft2(now), shift[::-1])).real
+    return now, np.clip(np.round(there), 0, 255).astype(np.uint8)
+
+
+def test_matches_are_refined_by_the_formula(rng):
+    now, before = moved(rng, (2.3, -1.1))
+    x = (CENTRES + rng.uniform(-3, 3, CENTRES.shape)).astype(np.float32)
+    there = (x + [2.3, -1.1] + rng.normal(0, 0.8, x.shape)).astype(np.float32)
+    found = compiled.refine(now, before, x, there)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, strips_reference.refine(now, before, x, there), atol=2e-3)
+
+
+def test_a_match_that_is_off_by_a_pixel_comes_where_the_pictures_are_alike(rng):
+    now, before = moved(rng, (2.3, -1.1))
+    inner = CENTRES[np.all((CENTRES > 24) & (CENTRES < (WIDTH - 24, HEIGHT - 24)), axis=1)]
+    found = compiled.refine(now, before, inner, inner + np.float32([3.1, -1.7]))
+    assert np.median(np.abs(found - inner - [2.3, -1.1]), axis=0).max() < 0.02
+    assert np.abs(found - inner - [2.3, -1.1]).max() < 0.1
+
+
+def test_a_match_stays_where_pictures_end_or_show_nothing(rng):
+    now, x = picture(rng, WIDTH, HEIGHT), CENTRES
+    for vector in ([500.0, 0.0], [0.0, -90.0], [-1e6, 1e6]):
+        there = (x + vector).astype(np.float32)
+        np.testing.assert_array_equal(compiled.refine(now, now, x, there), there)
+    flat = np.full((HEIGHT, WIDTH), 90, np.uint8)
+    np.testing.assert_array_equal(compiled.refine(flat, now // 255, x, x + np.float32(0.25)),
+                                  x + np.float32(0.25))
+    assert compiled.refine(now, now, x[:0], x[:0]).shape == (0, 2)
+
+
 def test_pictures_may_differ_from_the_grid(rng):
     small = picture(rng, 40, 24)
     found = compiled.strips(small, small, pair_of(np.zeros(2)), POINT, 60.0, SIGMA)
@@ -139,3 +175,9 @@ def test_wrong_arguments_are_named(rng):
                            ((now, now, columns, POINT[:1]), 'point has shape')):
         with pytest.raises(ValueError, match=f'^strips: {message}'):
             compiled.strips(*wrong, 60.0, SIGMA)
+    x = columns[0]
+    for wrong, message in (((now, None, x, x), 'both pictures must be there'),
+                           ((now, now, x, x[1:]), 'x_prev has shape'),
+                           ((now, now, x, x * np.float32(np.nan)), 'x_prev')):
+        with pytest.raises(ValueError, match=f'^refine: {message}'):
+            compiled.refine(*wrong)
