@@ -178,10 +178,10 @@ class SceneFilter:
         progress.carried &= not progress.refused
         progress.see(extraction.stamp)
         self._map.wait(extraction.stamp - extraction.previous_stamp)
-        if progress.stop and progress.stop.is_doubtful(extraction.stamp, self._settings):
-            return TrackingStatus.PREDICTED, scene_rest.ABRUPT
-        progress.stop = None
-        return TrackingStatus.OK, reason
+        way = self._way(extraction.previous_stamp, 0.0)
+        progress.stop, doubt = scene_rest.doubt(progress.stop, extraction, self._state,
+                                                way.length if way else 0.0, self._settings)
+        return (TrackingStatus.PREDICTED, doubt) if doubt else (TrackingStatus.OK, reason)
 
     def _turn(self, extraction: Extraction, dt: float):
         """Turn a camera that stays where it is, but for a pixel of the nearest plane."""

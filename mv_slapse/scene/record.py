@@ -4,7 +4,7 @@ from mv_slapse.geometry.rotation import norm
 from mv_slapse.records import MapPlane, ScaleStatus, SceneEstimate, TrackingStatus
 from mv_slapse.scene import gauge as scene_gauge
 from mv_slapse.scene.progress import Progress
-from mv_slapse.scene.scale.rest import ABRUPT
+from mv_slapse.scene.scale.rest import ABRUPT, DRIVEN
 from mv_slapse.scene.state import SceneState, UNIT
 import numpy as np
 
@@ -23,4 +23,4 @@ def estimate(state: SceneState, planes: tuple[MapPlane, ...], stamp: int, status
         ScaleStatus.METRIC if progress.metric else ScaleStatus.UNKNOWN, progress.source, planes,
         norm(state.current.t - state.previous.t), progress.resets, progress.repairs,
         progress.unit)
-    return progress.stop.doubted(found) if reason == ABRUPT else found
+    return progress.stop.doubted(found) if reason in (ABRUPT, DRIVEN) else found

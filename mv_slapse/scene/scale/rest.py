@@ -16,17 +16,24 @@ TURNING = 'the camera turns on the spot'
 RESTS = (MotionStatus.STANDSTILL, MotionStatus.ROTATION_ONLY)  # where the camera does not move on
 ABRUPT = ('the picture stands still, but the camera moved too fast just before to have stopped: '
           'the stream may be frozen')
+DRIVEN = ('the picture stands still, but the speed given says that the camera goes on: the stream '
+          'may be frozen, or the wheels slip')
 SUDDEN = 5.0  # standard deviations of the random walk of a speed by which it hardly changes
+SEEN = 5.0  # px that the nearest plane would have moved by: no picture passes for still with that
 LOW = 0.07  # tangent of the angle below the horizon: the ground within 14 camera heights
 SUPPOSED_SIGMA = 0.2  # of the log of a baseline so supposed: 4 to 12 % was met, and 50 % once
 ROAD = 1.5  # camera heights to either side, which a road is wide
 
 
 class Stop(NamedTuple):
-    """When [ns] a picture began to stand still, and the velocity (3,) in {W} just before [m/s]."""
+    """When [ns] a picture began to stand still, and the velocity (3,) in {W} just before [m/s].
+
+    ``way`` [m]: that speeds given have told since.
+    """
 
     stamp: int
     velocity: np.ndarray
+    way: float = 0.0
 
     def is_doubtful(self, stamp: int, settings: SceneSettings) -> bool:
         """Tell whether nothing could have stopped so soon as to be at rest at a stamp [ns].
@@ -38,11 +45,27 @@ class Stop(NamedTuple):
 
     def doubted(self, scene: SceneEstimate) -> SceneEstimate:
         """Return an estimate as unsure as the camera may have gone on."""
-        way = self.velocity * (scene.stamp - self.stamp) * 1e-9
+        seconds = (scene.stamp - self.stamp) * 1e-9
+        way = self.velocity * seconds
         pose, twist = scene.pose_covariance.copy(), scene.twist_covariance.copy()
-        pose[:3, :3] += np.outer(way, way)
-        twist[:3, :3] += np.outer(self.velocity, self.velocity)
+        pose[:3, :3] += np.outer(way, way) + np.eye(3) * self.way**2
+        twist[:3, :3] += (np.outer(self.velocity, self.velocity)
+                          + np.eye(3) * (self.way / seconds)**2)
         return replace(scene, pose_covariance=pose, twist_covariance=twist)
+
+
+def doubt(stop: Stop | None, extraction: Extraction, state: SceneState, way: float,
+          settings: SceneSettings) -> tuple[Stop | None, str]:
+    """Return a stop that may be none, and why; None and nothing where the camera is at rest.
+
+    ``way`` [m]: of this pair by a speed that is given, 0 without one.
+    """
+    if way > SEEN * reach(state) / extraction.K[0, 0]:
+        stop = stop or Stop(extraction.previous_stamp, np.zeros(3))
+        return stop._replace(way=stop.way + way), DRIVEN
+    if stop and stop.is_doubtful(extraction.stamp, settings):
+        return stop, ABRUPT
+    return None, ''
 
 
 def supposed_baseline(extraction: Extraction, camera_height: float) -> float:

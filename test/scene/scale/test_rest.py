@@ -5,7 +5,14 @@ from dataclasses import replace
 import canyon as canyon_views
 from mv_slapse.config import SceneSettings
 from mv_slapse.geometry import rotation
-from mv_slapse.records import CameraMotion, Label, MotionStatus, ScaleStatus, TrackingStatus
+from mv_slapse.records import (
+    CameraMotion,
+    Label,
+    MotionStatus,
+    ScaleStatus,
+    Speed,
+    TrackingStatus,
+)
 from mv_slapse.scene.filter import SceneFilter
 from mv_slapse.scene.scale import rest as scene_rest
 import numpy as np
@@ -51,6 +58,43 @@ def test_a_stop_that_no_brake_makes_is_doubted_for_as_long_as_braking_takes(spee
         assert one.pose_covariance[2, 2]**0.5 > 0.9 * speed * 0.1 * k
     np.testing.assert_array_equal(stood[-1].pose_covariance, before.pose_covariance)
     np.testing.assert_array_equal(stood[-1].t_world_from_cam, before.t_world_from_cam)
+
+
+def stood(filter_, canyon, keys, speed):
+    """Return what the filter says of pictures that stand still, wheels having told a speed."""
+    return [filter_.step(canyon.blank(k, MotionStatus.STANDSTILL, ''), (),
+                         [Speed(round(1e8 * (k - 0.5)), speed)])[0] for k in keys]
+
+
+@pytest.mark.parametrize('status', [MotionStatus.STANDSTILL, MotionStatus.ROTATION_ONLY])
+def test_a_picture_that_stands_while_wheels_drive_is_doubted_as_long_as_they_do(status):
+    canyon, filter_ = Canyon(way=lambda time: 1.5 * time), SceneFilter(METRIC)
+    before = driven(canyon, 10, filter_=filter_)[-1]
+    stood(filter_, canyon, (11, 12), 1.5)  # of the first one half is not told
+    frozen = [filter_.step(canyon.blank(k, status, ''), (), [Speed(10**8 * k, 1.5)])[0]
+              for k in range(13, 63)]
+    assert {one.status for one in frozen} == {TrackingStatus.PREDICTED}
+    assert all('speed given' in one.reason for one in frozen)
+    assert 0.9 < frozen[-1].pose_covariance[2, 2]**0.5 / (1.5 * 5.2) < 1.5
+    assert 0.9 < frozen[-1].twist_covariance[2, 2]**0.5 / 1.5 < 1.5
+    rest = stood(filter_, canyon, range(63, 66), 0.0)
+    assert rest[-1].status is TrackingStatus.OK
+    np.testing.assert_allclose(rest[-1].t_world_from_cam, before.t_world_from_cam, atol=1e-3)
+    assert rest[-1].pose_covariance[2, 2]**0.5 < 0.1
+
+
+def test_a_picture_that_stands_from_the_start_is_doubted_while_wheels_drive():
+    still = stood(SceneFilter(METRIC), Canyon(), range(1, 8), 4.0)
+    assert {one.status for one in still[2:]} == {TrackingStatus.PREDICTED}
+    assert still[-1].pose_covariance[2, 2]**0.5 > 1.5
+
+
+@pytest.mark.parametrize('speed', [0.0, 0.03, 0.1])
+def test_wheels_that_creep_by_less_than_a_picture_shows_doubt_no_rest(speed):
+    canyon, filter_ = Canyon(way=lambda time: 1.5 * time), SceneFilter(METRIC)
+    driven(canyon, 10, filter_=filter_)
+    assert {one.status for one in stood(filter_, canyon, range(12, 30), speed)} == {
+        TrackingStatus.OK}
 
 
 def test_a_camera_that_stands_from_the_start_is_ok():
