@@ -10,7 +10,7 @@ from typing import Any, IO
 from mv_slapse.errors import UnusableInput
 from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.known_map import KnownMap
-from mv_slapse.records import Extraction, MapPlane, ScaleStatus, SceneEstimate
+from mv_slapse.records import Extraction, MapPlane, ScaleStatus, SceneEstimate, WITH_POSE
 from mv_slapse.storage.waiting_rows import WaitingRows
 from mv_slapse.storage.whole_files import unusable, whole, write_text
 import numpy as np
@@ -78,8 +78,8 @@ def _rows(file: IO, dtype: type, shape: tuple[int, int]) -> np.ndarray:
 class MapArchive:
     """The planes there ever were in the map, each as last known; the newest MOST_PLANES of them.
 
-    Those that have left the map wait on the disk. A disk that is full is told when they are asked
-    for.
+    Those that have left the map wait on the disk, and follow where the map's unit changes. A disk
+    that is full is told when they are asked for.
     """
 
     def __init__(self):
@@ -88,6 +88,9 @@ class MapArchive:
         self._scene: SceneEstimate | None = None
         self._left = WaitingRows()
         self._offset = 0
+        self._unit, self._place = 0.0, np.zeros(3)  # known from a map's first key frame on
+        #: factors of the unit and the places they leave where they are, of each map that began
+        self._changes: list[list[tuple[float, np.ndarray]]] = [[]]
 
     @property
     def has_planes(self) -> bool:
@@ -101,14 +104,20 @@ class MapArchive:
     def begin_anew(self):
         """Keep what there is beside a map that begins: its planes are numbered from zero again."""
         self._leave(self._current.values())
-        self._current = {}
+        self._current, self._unit, self._place = {}, 0.0, np.zeros(3)
         self._offset += BLOCK
+        self._changes.append([])
 
     def add(self, scene: SceneEstimate):
         """Take the map after a key frame."""
         before, self._scene = self._current, self._renumbered(scene)
         self._current = {plane.id: plane for plane in self._scene.planes}
         self._leave(plane for id, plane in before.items() if id not in self._current)
+        if self._unit and scene.unit != self._unit:
+            self._changes[-1].append((scene.unit / self._unit, self._place))
+        self._unit = scene.unit
+        if scene.status in WITH_POSE:
+            self._place = scene.t_world_from_cam
 
     def _renumbered(self, scene: SceneEstimate) -> SceneEstimate:
         if not self._offset:
@@ -118,7 +127,8 @@ class MapArchive:
 
     def _leave(self, planes: Iterable[MapPlane]):
         for plane in planes:
-            self._left.add(json.dumps(_plane_content(plane, False)))
+            since = {'since': (len(self._changes) - 1, len(self._changes[-1]))}
+            self._left.add(json.dumps(_plane_content(plane, False) | since))
 
     def content(self) -> dict[str, Any]:
         """Return what ``map.json`` holds.
@@ -131,8 +141,9 @@ class MapArchive:
         left = {}
         try:
             for plane in map(json.loads, self._left):
+                which, count = plane.pop('since')
                 left.pop(plane['id'], None)  # the newest stand last
-                left[plane['id']] = plane
+                left[plane['id']] = _rescaled(plane, self._changes[which][count:])
         except OSError as error:
             raise unusable('the map', error) from None
         content = map_content(self._scene, self._current.values())
@@ -190,6 +201,20 @@ def _plane_content(plane: MapPlane, is_current: bool) -> dict[str, Any]:
             'first_seen': plane.first_stamp / 1e9, 'last_seen': plane.last_stamp / 1e9,
             'n_observations': int(plane.n_observations), 'is_ground': bool(plane.is_ground),
             'is_current': is_current}
+
+
+def _rescaled(content: dict[str, Any], changes: Iterable[tuple[float, np.ndarray]]
+              ) -> dict[str, Any]:
+    """Return a plane's content after changes of the unit, each about a place (3,)."""
+    for factor, place in changes:
+        shift = (1 - factor) * place  # X becomes factor X + shift
+        by_before = np.eye(4)
+        by_before[3] = *-shift, factor
+        content = content | {
+            'depth': factor * content['depth'] - float(np.dot(content['normal'], shift)),
+            'covariance': _list(by_before @ content['covariance'] @ by_before.T),
+            'outline': _list(factor * np.reshape(content['outline'], (-1, 3)) + shift)}
+    return content
 
 
 def _plane(content: dict[str, Any]) -> MapPlane:

@@ -145,6 +145,47 @@ def test_a_map_that_begins_anew_keeps_the_planes_of_the_one_before(rng):
         np.testing.assert_allclose(one['normal'], plane.normal)
 
 
+def scaled(plane, factor, place):
+    """Return a plane, and what it says of itself, after all lengths changed about a place (3,)."""
+    change = np.eye(4)
+    change[3, :3], change[3, 3] = (factor - 1) * place, factor
+    return replace(plane, depth=factor * plane.depth + (factor - 1) * plane.normal @ place,
+                   covariance=change @ plane.covariance @ change.T,
+                   outline=place + factor * (plane.outline - place))
+
+
+def test_planes_that_left_the_map_follow_its_unit(rng):
+    """As it becomes metric, about the last place published; what left before has a metre, too."""
+    archive, scene = MapArchive(), made_up_step(rng, 0).scene
+    planes = [made_up.map_plane(rng, id) for id in range(4)]
+    t = rng.normal(0, 3, (5, 3))
+    OK, LOST = TrackingStatus.OK, TrackingStatus.LOST
+    for shown, unit, place, status in (
+            ((0, 1), 1.0, t[0], OK), ((1,), 1.0, t[1], OK), ((2,), 0.4, t[2], OK),
+            ((2,), 0.4, t[3], LOST), ((3,), 0.5, t[4], OK)):
+        archive.add(replace(scene, planes=tuple(planes[i] for i in shown), unit=unit,
+                            t_world_from_cam=place, status=status))
+    expected = [scaled(scaled(planes[0], 0.4, t[1]), 1.25, t[2]),
+                scaled(scaled(planes[1], 0.4, t[1]), 1.25, t[2]),
+                scaled(planes[2], 1.25, t[2]), planes[3]]
+    found = archive.content()['planes']
+    assert [plane['id'] for plane in found] == [0, 1, 2, 3]
+    for one, plane in zip(found, expected, strict=True):
+        for name in ('normal', 'depth', 'covariance', 'outline'):
+            np.testing.assert_allclose(one[name], getattr(plane, name), atol=1e-9)
+
+
+def test_the_unit_of_a_map_that_begins_anew_is_not_that_of_the_one_before(rng):
+    archive, scene = MapArchive(), made_up_step(rng, 0).scene
+    planes = [made_up.map_plane(rng, id) for id in range(2)]
+    archive.add(replace(scene, planes=(planes[0],), unit=0.4))
+    archive.begin_anew()
+    archive.add(replace(scene, planes=(planes[1],), unit=1.0))
+    archive.add(replace(scene, planes=(planes[1],), unit=3.0))
+    found = archive.content()['planes']
+    assert found[0]['depth'] == planes[0].depth
+
+
 def test_a_map_whose_planes_found_no_place_to_wait_is_refused(rng, monkeypatch):
     archive, scene = MapArchive(), made_up_step(rng, 0).scene
     with suppress(OSError), Path('/dev/full').open('w', buffering=1) as full:
