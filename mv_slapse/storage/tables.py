@@ -65,8 +65,8 @@ def read_table(path: str | Path, required: str) -> dict[str, np.ndarray]:
     Raises
     ------
     UnusableInput
-        Where the file cannot be read, a required column (comma-separated names) is missing, or
-        a value is no number.
+        Where the file cannot be read, a required column (comma-separated names) is missing, a
+        row has another number of values, or a value is no number.
     """
     try:
         with Path(path).open(newline='', encoding='utf-8-sig') as file:
@@ -77,7 +77,13 @@ def read_table(path: str | Path, required: str) -> dict[str, np.ndarray]:
     missing = [name for name in required.split(',') if name not in names]
     if missing:
         raise UnusableInput(f'{path}: no column {", ".join(missing)}; expected {required}')
-    body = [row for row in rows[1:] if len(row) == len(names)]
+    body = []
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) == len(names):
+            body.append(row)
+        elif any(value.strip() for value in row):
+            raise UnusableInput(f'{path}: row {number} has {len(row)} values for {len(names)} '
+                                'columns; mend it, or leave it out')
     columns = zip(*body, strict=True) if body else [()] * len(names)
     return {name: _column(path, name, values)
             for name, values in zip(names, columns, strict=True)}

@@ -8,6 +8,7 @@ for most of the input, 5 some recordings of a batch failed, 130 interrupted.
 import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from io import TextIOWrapper
 import json
 import os
@@ -168,9 +169,9 @@ def _add_eval(commands: Any) -> argparse.ArgumentParser:
     command.add_argument('--boxes', metavar='CSV', help='boxes of one obstacle (boxes.csv)')
     command.add_argument('--annotation', metavar='JSON',
                          help='vehicles in the last frame (annotation.json)')
-    command.add_argument('--fps', type=float, metavar='HZ',
+    command.add_argument('--fps', type=_rate, metavar='HZ',
                          help='rate of the frames in --labels and --boxes')
-    command.add_argument('--stamp-offset', type=float, default=0.0, metavar='S',
+    command.add_argument('--stamp-offset', type=_offset, default=0.0, metavar='S',
                          help="taken off the results' stamps first (default: 0)")
     command.add_argument('--plot', metavar='PNG',
                          help='draw the way over the true one, and the error over time')
@@ -374,14 +375,20 @@ def _folder(text: str) -> str:
     return text
 
 
-def _height(text: str) -> float:
+def _within(low: float, high: float, what: str, text: str) -> float:
+    """Return a number between two bounds; what else there should be stands in the error."""
     try:
         value = float(text)
     except ValueError:
-        value = -1.0
-    if not 0 < value < 1000:
-        raise argparse.ArgumentTypeError(f'{text!r} is not a height in metres above 0')
+        value = low
+    if not low < value < high:
+        raise argparse.ArgumentTypeError(f'{text!r} is not {what}')
     return value
+
+
+_height = partial(_within, 0.0, 1e3, 'a height in metres above 0')
+_rate = partial(_within, 0.0, 1e6, 'a rate in Hz above 0')
+_offset = partial(_within, -1e10, 1e10, 'a time in seconds, of less than 300 years')
 
 
 if __name__ == '__main__':

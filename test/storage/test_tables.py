@@ -72,6 +72,11 @@ def test_a_table_may_begin_as_spreadsheets_write_it(tmp_path):
     assert tables.read_speeds(tmp_path / 'speeds.csv') == [Speed(1_000_000_000, 1000.0)]
 
 
+def test_empty_rows_of_a_table_are_none(tmp_path):
+    (tmp_path / 'table.csv').write_text('a,id\n1,2\n\n ,,\n3,4\n\n')
+    assert list(tables.read_table(tmp_path / 'table.csv', 'a,id')['a']) == [1, 3]
+
+
 def test_a_table_without_rows_has_empty_columns(tmp_path):
     table = read(tmp_path, tables.PLANES_HEADER, [])
     assert [len(values) for values in table.values()] == [0] * 7
@@ -79,6 +84,8 @@ def test_a_table_without_rows_has_empty_columns(tmp_path):
 
 @pytest.mark.parametrize(('text', 'message'), [('a,b\n1,2\n', 'no column id'),
                                                ('a,id\n1,two\n', 'column id is not a number'),
+                                               ('a,id\n1,2\n\n1\n', 'row 4 has 1 values for 2'),
+                                               ('a,id\n1,2,\n', 'row 2 has 3 values for 2'),
                                                ('', 'no column a, id')])
 def test_a_wrong_table_is_refused(tmp_path, text, message):
     (tmp_path / 'table.csv').write_text(text)

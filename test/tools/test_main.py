@@ -247,7 +247,10 @@ BAG = ['bag', 'a', '--camera', 'b', '-o', 'c']
                                        ['run', 'a', '-o', ''], ['batch', 'a', '-o', ''],
                                        ['demo', '-o', ''],
                                        ['run', 'a', '--camera-height', '-1'],
-                                       ['run', 'a', '--camera-height', 'tall']])
+                                       ['run', 'a', '--camera-height', 'tall'],
+                                       ['run', 'a', '--camera-height', 'nan'],
+                                       ['eval', 'a', '--fps', 'nan'], ['eval', 'a', '--fps', '0'],
+                                       ['eval', 'a', '--stamp-offset', 'inf']])
 def test_wrong_usage_ends_with_2(arguments, capsys):
     with pytest.raises(SystemExit) as caught:
         command_line.main(arguments)
