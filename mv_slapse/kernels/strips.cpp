@@ -1,6 +1,7 @@
-// Macroblocks on the way ahead, cut into strips whose vectors two pictures tell: Gauss-Newton steps on
-// what the brightness of a strip, less its mean, differs by (Lucas and Kanade, "An iterative image
-// registration technique with an application to stereo vision", IJCAI 1981). codec/strips.py.
+// Vectors that two pictures tell, of macroblocks and, on the way ahead, of strips of these:
+// Gauss-Newton steps on what the brightness of a patch, less its mean, differs by (Lucas and Kanade,
+// "An iterative image registration technique with an application to stereo vision", IJCAI 1981). See
+// codec/strips.py and codec/merging.py.
 
 #include "blocks.hpp"
 #include "lanes.hpp"

@@ -46,11 +46,10 @@ class Stop(NamedTuple):
     def doubted(self, scene: SceneEstimate) -> SceneEstimate:
         """Return an estimate as unsure as the camera may have gone on."""
         seconds = (scene.stamp - self.stamp) * 1e-9
-        way = self.velocity * seconds
+        way, speed = self.velocity * seconds, self.way / seconds if seconds > 0 else 0.0
         pose, twist = scene.pose_covariance.copy(), scene.twist_covariance.copy()
         pose[:3, :3] += np.outer(way, way) + np.eye(3) * self.way**2
-        twist[:3, :3] += (np.outer(self.velocity, self.velocity)
-                          + np.eye(3) * (self.way / seconds)**2)
+        twist[:3, :3] += np.outer(self.velocity, self.velocity) + np.eye(3) * speed**2
         return replace(scene, pose_covariance=pose, twist_covariance=twist)
 
 

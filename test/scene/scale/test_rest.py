@@ -60,6 +60,14 @@ def test_a_stop_that_no_brake_makes_is_doubted_for_as_long_as_braking_takes(spee
     np.testing.assert_array_equal(stood[-1].t_world_from_cam, before.t_world_from_cam)
 
 
+def test_a_stop_is_doubted_where_the_clock_stands_too():
+    """Two pictures with one stamp: the camera has gone no way, but it may be as fast."""
+    scene = driven(Canyon(), 3)[-1]
+    doubted = scene_rest.Stop(scene.stamp, np.array([0, 0, 5.0])).doubted(scene)
+    np.testing.assert_array_equal(doubted.pose_covariance, scene.pose_covariance)
+    assert (doubted.twist_covariance - scene.twist_covariance)[2, 2] == pytest.approx(25)
+
+
 def stood(filter_, canyon, keys, speed):
     """Return what the filter says of pictures that stand still, wheels having told a speed."""
     return [filter_.step(canyon.blank(k, MotionStatus.STANDSTILL, ''), (),
