@@ -2,6 +2,7 @@
 
 PNG = b'\x89PNG\r\n\x1a\n'
 JPEG = b'\xff\xd8'
+STILLS = PNG, JPEG  # what their data begin with
 FRAMES = {*range(0xc0, 0xd0)} - {0xc4, 0xc8, 0xcc}  # markers SOF0 to SOF15, ITU-T T.81 table B.1
 BARE = {0x01, *range(0xd0, 0xd9)}  # markers without a length
 

@@ -11,7 +11,7 @@ from mv_slapse.codec.packet import Packet, Picture
 from mv_slapse.errors import UnusableInput
 from mv_slapse.fields import Fields, header, stamp_from_message, stamp_to_fields
 from mv_slapse.message_checks import count, InvalidMessage, size
-from mv_slapse.picture_size import size_of_still
+from mv_slapse.picture_size import size_of_still, STILLS
 from mv_slapse.raw_images import picture_of
 import numpy as np
 
@@ -39,15 +39,15 @@ def from_message(message_type: str, msg: Any) -> Packet | Picture:
     """
     if message_type == IMAGE:
         return Picture(picture_of(msg), stamp_from_message(msg.header.stamp))
+    data = _payload(msg)
     if message_type == FFMPEG_PACKET:
         stamp, name, flagged = msg.header.stamp, msg.encoding, bool(msg.flags & 1)
     elif message_type == COMPRESSED_VIDEO:
         stamp, name, flagged = msg.timestamp, msg.format, False
     else:
         stamp, name, flagged = msg.header.stamp, msg.format, False
-        if any(still in name.lower() for still in STILL_FORMATS):
-            return Picture(_still_image(msg), stamp_from_message(stamp))
-    data = _payload(msg)
+        if _is_still(data, name):
+            return Picture(_still_image(data, name), stamp_from_message(stamp))
     codec = bitstream.codec_of(data, decoder_of(name))
     return Packet(data, stamp_from_message(stamp), flagged or is_key(data, codec), codec)
 
@@ -138,11 +138,16 @@ def _payload(msg: Any) -> bytes:
     return bytes(count(msg.data, 'data', MAX_BYTES))
 
 
-def _still_image(msg: Any) -> np.ndarray:
-    data = _payload(msg)
+def _is_still(data: bytes, name: str) -> bool:
+    """Return whether a CompressedImage is a still picture, whatever its format field says."""
+    said = any(still in name.lower() for still in STILL_FORMATS)
+    return data.startswith(STILLS) or said and not bitstream.sniff(data)
+
+
+def _still_image(data: bytes, name: str) -> np.ndarray:
     told = size_of_still(data)  # before memory is taken for it
     image = cv2.imdecode(np.frombuffer(data, np.uint8),
                          cv2.IMREAD_COLOR) if told and size(*told) else None
     if image is None:
-        raise UnusableInput(f'a CompressedImage says {msg.format!r} but is no picture of it')
+        raise UnusableInput(f'a CompressedImage says {name!r} but is no picture of it')
     return image

@@ -80,6 +80,20 @@ def test_a_still_picture_is_decoded(rng):
     np.testing.assert_array_equal(picture.image, image)
 
 
+@pytest.mark.parametrize('suffix', ['.png', '.jpg'])
+@pytest.mark.parametrize('name', ['h264', '', 'rgb8'])
+def test_a_still_picture_is_one_whatever_its_format_field_says(rng, suffix, name):
+    data = cv2.imencode(suffix, np.full((12, 16, 3), 90, np.uint8))[1].tobytes()
+    picture = from_message(COMPRESSED_IMAGE, message(format=name, data=data))
+    assert np.abs(picture.image.astype(int) - 90).max() < 3
+
+
+@pytest.mark.parametrize('name', ['jpeg', 'bgr8; jpeg compressed bgr8'])
+def test_video_that_calls_itself_a_still_picture_is_video(name):
+    packet = from_message(COMPRESSED_IMAGE, message(format=name, data=IDR))
+    assert (packet.codec, packet.is_key) == ('h264', True)
+
+
 def test_a_broken_still_picture_is_refused():
     with pytest.raises(UnusableInput, match='jpeg'):
         from_message(COMPRESSED_IMAGE, message(format='jpeg', data=b'abc'))
