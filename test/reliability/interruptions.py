@@ -129,8 +129,10 @@ def kills(scene: Scene, moments: int, seed: int = 0) -> list[str]:
         if grown.exists():
             wrong += _prefix_of(grown, _messages(scene.folder / 'whole' / 'results.mcap'),
                                 f'killed at {share:.2f}')
-    if scene.run(out) not in (0, 4) or unwhole(out) or list(out.glob('*.part')):
-        wrong.append('a run over what a killed one left is not whole')
+    code, left = scene.run(out), [*unwhole(out), *(path.name for path in out.glob('*.part'))]
+    if code not in (0, 4) or left:
+        said = (out.parent / f'{out.name}.said').read_text()
+        wrong.append(f'a run over what a killed one left: exit code {code}, {left}, {said}')
     return wrong
 
 
