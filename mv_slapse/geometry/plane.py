@@ -15,3 +15,14 @@ def transform(plane_a: np.ndarray, R_b_from_a: np.ndarray, t_b_from_a: np.ndarra
     """Express a plane of frame a in frame b, where ``X_b = R_b_from_a @ X_a + t_b_from_a``."""
     rotated = R_b_from_a @ plane_a
     return rotated / (1 - rotated @ t_b_from_a)
+
+
+def scaled_about(place: np.ndarray, factor: float, normal: np.ndarray, depth: float,
+                 covariance: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return depth and covariance (4, 4) of (normal, depth) after a change of the unit of length.
+
+    All lengths are multiplied by a factor, and a place (3,) stays where it is.
+    """
+    J = np.eye(4)
+    J[3] = *((factor - 1) * place), factor
+    return factor * depth + (factor - 1) * float(normal @ place), J @ covariance @ J.T

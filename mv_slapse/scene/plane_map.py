@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from mv_slapse.changed import replace
-from mv_slapse.geometry.plane import MOST_KEPT, WELL_SEEN
+from mv_slapse.geometry.plane import MOST_KEPT, scaled_about, WELL_SEEN
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Extraction, Label, MapPlane, PlaneHandover
 from mv_slapse.scene import gauge as scene_gauge
@@ -144,11 +144,11 @@ class SceneMap:
 
         self._sightings = {id: replace(s, outline=moved(s.outline))
                            for id, s in self._sightings.items()}
-        D = np.array([1.0, 1.0, 1.0, factor])
-        self._left = {id: replace(
-            plane, depth=plane.depth * factor + (factor - 1) * float(plane.normal @ place),
-            covariance=D[:, None] * plane.covariance * D, outline=moved(plane.outline))
-            for id, plane in self._left.items()}
+        for id, plane in self._left.items():
+            depth, covariance = scaled_about(place, factor, plane.normal, plane.depth,
+                                             plane.covariance)
+            self._left[id] = replace(plane, depth=depth, covariance=covariance,
+                                     outline=moved(plane.outline))
 
     def observe(self, state: SceneState, extraction: Extraction, ids: list[int]):
         """Note which planes of ``ids`` a key frame shows, and where."""

@@ -9,6 +9,7 @@ from typing import Any, IO
 
 from mv_slapse.errors import UnusableInput
 from mv_slapse.geometry.blocks import grid_centres
+from mv_slapse.geometry.plane import scaled_about
 from mv_slapse.known_map import KnownMap
 from mv_slapse.records import Extraction, MapPlane, ScaleStatus, SceneEstimate, WITH_POSE
 from mv_slapse.storage.waiting_rows import WaitingRows
@@ -207,13 +208,11 @@ def _rescaled(content: dict[str, Any], changes: Iterable[tuple[float, np.ndarray
               ) -> dict[str, Any]:
     """Return a plane's content after changes of the unit, each about a place (3,)."""
     for factor, place in changes:
-        shift = (1 - factor) * place  # X becomes factor X + shift
-        by_before = np.eye(4)
-        by_before[3] = *-shift, factor
-        content = content | {
-            'depth': factor * content['depth'] - float(np.dot(content['normal'], shift)),
-            'covariance': _list(by_before @ content['covariance'] @ by_before.T),
-            'outline': _list(factor * np.reshape(content['outline'], (-1, 3)) + shift)}
+        depth, covariance = scaled_about(place, factor, np.array(content['normal']),
+                                         content['depth'], content['covariance'])
+        outline = place + factor * (np.reshape(content['outline'], (-1, 3)) - place)
+        content = content | {'depth': depth, 'covariance': _list(covariance),
+                             'outline': _list(outline)}
     return content
 
 

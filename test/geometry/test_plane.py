@@ -30,6 +30,22 @@ def test_transformed_points_lie_on_the_transformed_plane(rng, random_plane, poin
     np.testing.assert_allclose((points @ R.T + t) @ plane.transform(random_plane, R, t), -1)
 
 
+def test_scaled_points_lie_on_the_scaled_plane(rng, random_plane, points):
+    normal, depth = formulas.to_normal_depth(random_plane)
+    place = rng.normal(0, 5, 3)
+    scaled, _ = plane.scaled_about(place, 0.3, normal, depth, np.eye(4))
+    np.testing.assert_allclose((place + 0.3 * (points - place)) @ normal + scaled, 0, atol=1e-9)
+
+
+def test_the_covariance_of_a_scaled_plane_is_by_the_numerical_jacobian(rng, random_plane):
+    known, place = np.r_[formulas.to_normal_depth(random_plane)], rng.normal(0, 5, 3)
+    A = rng.normal(size=(4, 4))
+    J = jacobian(lambda nd: np.r_[nd[:3], plane.scaled_about(
+        place, 0.3, nd[:3], nd[3], np.eye(4))[0]], known)
+    _, found = plane.scaled_about(place, 0.3, known[:3], known[3], A @ A.T)
+    np.testing.assert_allclose(found, J @ A @ A.T @ J.T, rtol=1e-5, atol=1e-6)
+
+
 def test_normal_depth_jacobian_is_the_numerical_one(random_plane):
     expected = jacobian(lambda p: np.r_[formulas.to_normal_depth(p)], random_plane)
     np.testing.assert_allclose(formulas.normal_depth_jacobian(random_plane), expected, rtol=1e-5,
