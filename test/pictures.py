@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 WIDTH, HEIGHT = 256, 192
 
@@ -12,6 +13,11 @@ def texture(rng: np.random.Generator, size: int = 900) -> np.ndarray:
                          interpolation=cv2.INTER_CUBIC) for step in (2, 6, 20)]
     total = sum(layers)
     return np.clip(128 + 40 * total / total.std(), 0, 255).astype(np.uint8)
+
+
+def moved(shown: np.ndarray, way) -> np.ndarray:
+    """Return a picture (H, W) as float, which goes round: what lay at x lies at x + way [px]."""
+    return np.fft.ifft2(ndimage.fourier_shift(np.fft.fft2(shown), way[::-1])).real
 
 
 def sliding(rng: np.random.Generator, n: int, step: tuple[int, int],

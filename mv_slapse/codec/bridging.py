@@ -29,10 +29,8 @@ def can_bridge(segment: Segment) -> bool:
 
 def can_search(segment: Segment) -> bool:
     """Return whether both pictures are there, near, whole, of one size, and show something."""
-    return (segment.previous.luma is not None
-            and segment.current.luma is not None and not segment.current.damage
+    return (segment.has_pictures and not segment.current.damage
             and not (segment.previous.is_blank or segment.current.is_blank)
-            and segment.previous.luma.shape == segment.current.luma.shape
             and 0 < segment.current.stamp - segment.previous.stamp <= LONGEST)
 
 

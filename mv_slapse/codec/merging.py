@@ -70,14 +70,15 @@ def refined(pair: Correspondences, segment: Segment,
     be wrong over which n pictures differ from n - 1 by no more than vectors that agree may. Where
     one of the two pictures is not known the pair stays as it is.
     """
-    now, before, n = segment.current.luma, segment.previous.luma, references(segment)
-    if n < 2 or now is None or before is None or now.shape != before.shape:
+    if not (is_ambiguous(segment) and segment.has_pictures):
         return pair
+    n = references(segment)
     left = 1 - n * settings.agreement_tolerance
     longest = n * settings.agreement_slack / left if left > 0 else np.inf
     short = np.linalg.norm(pair.x_prev - pair.x_cur, axis=1) <= longest
     x_prev = pair.x_prev.copy()
-    x_prev[short] = compiled.refine(now, before, pair.x_cur[short], x_prev[short])
+    x_prev[short] = compiled.refine(segment.current.luma, segment.previous.luma,
+                                    pair.x_cur[short], x_prev[short])
     return replace(pair, x_prev=x_prev)
 
 

@@ -26,6 +26,12 @@ class Segment:
     # by damage or a loss, its own or one that its pictures still show: no search can join it then
     is_torn: bool = False
 
+    @property
+    def has_pictures(self) -> bool:
+        """Whether the pictures of both key frames are there, and of one size."""
+        now, before = self.current.luma, self.previous.luma
+        return now is not None and before is not None and now.shape == before.shape
+
 
 class SegmentBuilder:
     """Collects pictures until a segment is complete."""

@@ -11,8 +11,8 @@ from mv_slapse.config import DecoderSettings
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import FrameType, SegmentKind
 import numpy as np
+import pictures
 import pytest
-from scipy import ndimage
 
 IP, PP, PI = SegmentKind.IP, SegmentKind.PP, SegmentKind.PI
 SETTINGS = DecoderSettings()
@@ -233,9 +233,9 @@ def slid(rng, references, shift=(0.75, -0.5)):
     The left half of the pair's vectors are longer by 6 px.
     """
     ground = cv2.GaussianBlur(rng.normal(0, 40, (HEIGHT, WIDTH)), (0, 0), 2)
-    shown = np.fft.fft2(128 + 40 * ground / ground.std())
-    now, before = (np.clip(np.fft.ifft2(ndimage.fourier_shift(shown, move)).real, 0, 255)
-                   .astype(np.uint8) for move in ((0, 0), shift[::-1]))
+    shown = 128 + 40 * ground / ground.std()
+    now, before = (np.clip(one, 0, 255).astype(np.uint8)
+                   for one in (shown, pictures.moved(shown, shift)))
     evidence = lattice(lambda x: np.full_like(x, 0) + 1.5 * np.array(shift))
     segment = segment_of(evidence, references=references)
     segment = replace(segment, current=replace(segment.current, luma=now),
