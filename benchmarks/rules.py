@@ -261,7 +261,10 @@ RULES = (
          {MOVERS + 'outlines:RULES': constants(dependence=np.inf)}),
     Rule('body', 'blocks that only together look farther than the ground are a mover',
          {MOVERS + 'body:with_bodies':
-          gives(lambda regions, *_: (regions.members, regions.first))}),
+          gives(lambda regions, *_: (regions.members, regions.first, np.zeros(len(regions.first)),
+                                     None))}),
+    Rule('bodies over pairs', 'what several pairs together tell of a body makes it a mover',
+         {MOVERS + 'score:RULES': constants(bodies=0.0)}),
     Rule('upright', 'blocks of bodies tell nothing of the ground\'s height',
          {SURFACES + 'ground:POLICY': policy(upright_sure=1e18)}),
     Rule('possibly dynamic', 'blocks that may be a mover\'s do not count for the motion: all '

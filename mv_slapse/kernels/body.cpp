@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "arrays.hpp"
+#include "blocks.hpp"
 #include "movers.hpp"
 
 namespace kernels {
@@ -20,17 +21,82 @@ struct BodyRules {
   explicit BodyRules(const py::object& o)
       : depths(number(o, "depths")), nearest(number(o, "nearest")), farthest(number(o, "farthest")),
         body(number(o, "body")), road(number(o, "road")), sharp(number(o, "sharp")),
-        usual(number(o, "usual")), most(number(o, "most")), agrees(number(o, "agrees")),
-        least(number(o, "least")), beside(number(o, "beside")), above(number(o, "above")),
-        widest(number(o, "widest")), many(number(o, "many")), blocks(number(o, "blocks")),
-        reach(number(o, "reach")) {}
-  double depths, nearest, farthest, body, road, sharp, usual, most, agrees, least, beside, above,
-      widest, many, blocks, reach;
+        usual(number(o, "usual")), most(number(o, "most")), once(number(o, "once")),
+        lasting(number(o, "lasting")), fading(number(o, "fading")), lane(number(o, "lane")),
+        agrees(number(o, "agrees")), least(number(o, "least")), beside(number(o, "beside")),
+        above(number(o, "above")), widest(number(o, "widest")), many(number(o, "many")),
+        blocks(number(o, "blocks")), reach(number(o, "reach")) {}
+  double depths, nearest, farthest, body, road, sharp, usual, most, once, lasting, fading, lane,
+      agrees, least, beside, above, widest, many, blocks, reach;
 };
+
+// Log-likelihoods (D, C) of upright bodies by inverse depth, in a row (D,), and column.
+struct Grid {
+  std::vector<double> depths, told;
+  std::size_t columns() const { return depths.empty() ? 0 : told.size() / depths.size(); }
+
+  // What was told between cells, 0 outside.
+  double at(double row, double column) const {
+    const auto n = columns();
+    if (!(row >= 0 && row <= depths.size() - 1.0 && column >= 0 && column <= n - 1.0)) return 0;
+    const auto r = std::min(static_cast<std::size_t>(row), depths.size() - 2);
+    const auto c = std::min(static_cast<std::size_t>(column), n - 2);
+    const double down = row - r, right = column - c, *cell = &told[r * n + c];
+    return (1 - down) * ((1 - right) * cell[0] + right * cell[1]) +
+           down * ((1 - right) * cell[n] + right * cell[n + 1]);
+  }
+};
+
+// A camera, its motion X_cur = R X_prev + t, and the ground below it, n / d.
+struct Sight {
+  Mat3 K, inverse_K, R;
+  Vec3 t, ground;
+};
+
+// Middle of a column of macroblocks [px].
+double middle(double column) { return BlockGrid::MACROBLOCK * column + 7.5; }
+
+// The grid of a picture, of inverse depths in units of its baseline, with what the pairs before told
+// of bodies on the way ahead. If they stand still, as what drives on steadily seems to, they come
+// nearer by the camera's way alone. `before` has inverse depths in units of the camera's height.
+Grid carried(const Grid& before, const Sight& sight, double width, double height,
+             const BodyRules& rules) {
+  const double norm = std::sqrt(dot(sight.ground, sight.ground));
+  const auto under = [&](double x, double y) {
+    return -dot(sight.inverse_K * Vec3{x, y, 1}, sight.ground);
+  };
+  const auto n = static_cast<std::size_t>(std::ceil(width / BlockGrid::MACROBLOCK));
+  Grid grid;
+  // Of a camera that looks up the ground lies below the picture.
+  double depth = rules.farthest * std::max(under(0.5 * width, height), 1e-3 * norm);
+  const double step = std::pow(rules.nearest / rules.farthest, 1 / (rules.depths - 1));
+  for (int k = 0; k < rules.depths; ++k, depth *= step) grid.depths.push_back(depth);
+  grid.told.resize(grid.depths.size() * n);
+  // Nothing is carried on where the camera does not go ahead, nor from another size of picture.
+  if (before.depths.size() != grid.depths.size() || before.columns() != n || n < 2 ||
+      !(sight.t[2] < 0))
+    return grid;
+  const double course = sight.K[2] + sight.K[0] * sight.t[0] / sight.t[2];
+  const double ratio = std::log(before.depths[1] / before.depths[0]);
+  for (std::size_t k = 0; k < grid.depths.size(); ++k)
+    for (std::size_t c = 0; c < n; ++c) {
+      const double aside = std::abs(middle(c) - course) / sight.K[0] * norm / grid.depths[k];
+      if (aside > rules.lane) continue;
+      const Vec3 ray = sight.inverse_K * Vec3{middle(c), sight.K[5], 1};
+      Vec3 X;
+      for (int a = 0; a < 3; ++a) X[a] = ray[a] / grid.depths[k] - sight.t[a];
+      const Vec3 P = sight.K * (transposed(sight.R) * X);
+      if (!(P[2] > 0)) continue;
+      const double row = std::log(1 / (P[2] * norm * before.depths[0])) / ratio;
+      const double column = (P[0] / P[2] - middle(0)) / BlockGrid::MACROBLOCK;
+      grid.told[k * n + c] = rules.fading * before.at(row, column);
+    }
+  return grid;
+}
 
 // Blocks that move along their epipolar lines, below the horizon.
 struct Seen {
-  const double *x, *rho, *sigma, *under, *foreseen;
+  const double *x, *rho, *sigma, *under;
   Blocks at;
 };
 
@@ -51,42 +117,36 @@ double unevenness(const Seen& seen, const BodyRules& rules) {
 // below the row where ground is as far, which ground would hide from there on.
 class Columns {
  public:
-  Columns(const Seen& seen, std::int64_t width, const BodyRules& rules)
-      : seen_(seen), rules_(rules), uneven_(unevenness(seen, rules)),
-        columns_((width + BlockGrid::MACROBLOCK - 1) / BlockGrid::MACROBLOCK) {
-    double nearest = 0;
+  Columns(const Seen& seen, const Grid& before, const BodyRules& rules)
+      : seen_(seen), rules_(rules), uneven_(unevenness(seen, rules)), columns_(before.columns()),
+        depths_(before.depths), told_(before.told), lasting_(before.told), foot_(told_.size()) {
     auto lowest = seen.at.front(), highest = lowest;
-    ground_.resize(2 * (1 + *std::max_element(seen.at.begin(), seen.at.end())));
+    ground_.resize(1 + *std::max_element(seen.at.begin(), seen.at.end()));
     for (const auto i : seen.at) {
-      const double* foreseen = &seen.foreseen[2 * i];
-      ground_[2 * i] = misfit(seen.rho[i], seen.sigma[i], seen.under[i], uneven_);
-      ground_[2 * i + 1] = misfit(foreseen[0], foreseen[1], seen.under[i], uneven_);
+      ground_[i] = misfit(seen.rho[i], seen.sigma[i], seen.under[i], uneven_);
       if (seen.under[i] > seen.under[lowest]) lowest = i;
       if (seen.under[i] < seen.under[highest]) highest = i;
       const auto column = static_cast<std::int64_t>(seen.x[2 * i] / BlockGrid::MACROBLOCK);
       columns_[std::min<std::int64_t>(std::max<std::int64_t>(column, 0), columns_.size() - 1)]
           .push_back(i);
-      nearest = std::max(nearest, seen.under[i]);
     }
     for (auto& column : columns_)
       std::stable_sort(column.begin(), column.end(), [&](std::int64_t i, std::int64_t k) {
         return seen.x[2 * i + 1] < seen.x[2 * k + 1];
       });
-    const double step = std::pow(rules.nearest / rules.farthest, 1 / (rules.depths - 1));
-    double depth = rules.farthest * nearest;
-    for (int k = 0; k < rules.depths; ++k, depth *= step) depths_.push_back(depth);
-    told_.resize(depths_.size() * columns_.size());
-    foot_.resize(told_.size());
     // Of the ground's inverse depth from row to row.
     slope_ = (seen.under[lowest] - seen.under[highest]) /
              std::max(seen.x[2 * lowest + 1] - seen.x[2 * highest + 1], 1.0);
     for (std::size_t c = 0; c < columns_.size(); ++c) tell(c);
   }
 
-  // The blocks of the surest body, which is taken out; false: none is left.
-  bool next(Blocks& body) {
-    double best = 0, depth = 0;
-    std::size_t first = 0, last = 0;
+  // What goes on to the next pair, before a body is taken out.
+  const std::vector<double>& lasting() const { return lasting_; }
+
+  // The blocks of the surest body, which is taken out, and what lasts of it; false: none is left.
+  bool next(Blocks& body, double& evidence) {
+    double best = 0;
+    std::size_t first = 0, last = 0, depth = 0;
     const auto n = columns_.size();
     for (std::size_t k = 0; k < depths_.size(); ++k)
       for (std::size_t from = 0; from < n; ++from) {
@@ -100,21 +160,20 @@ class Columns {
           best = sum;
           first = from;
           last = c;
-          depth = depths_[k];
+          depth = k;
         }
       }
     if (best < rules_.least) return false;
-    take(first, last, depth, body);
+    evidence = 0;
+    for (auto c = first; c <= last; ++c) evidence += lasting_[depth * n + c] - rules_.beside;
+    take(first, last, depths_[depth], body);
     return true;
   }
 
  private:
-  // How much rather a block shows a depth than the ground, log-likelihood, by this pair and those
-  // before: what goes away steadily is foreseen too far as well, a wrong vector is not foreseen.
+  // How much rather a block shows a depth than the ground, log-likelihood.
   double gain(std::int64_t i, double depth) const {
-    const double *ground = &ground_[2 * i], *foreseen = &seen_.foreseen[2 * i];
-    return 0.5 * (ground[0] - misfit(seen_.rho[i], seen_.sigma[i], depth, rules_.body)) +
-           0.5 * (ground[1] - misfit(foreseen[0], foreseen[1], depth, rules_.body));
+    return 0.5 * (ground_[i] - misfit(seen_.rho[i], seen_.sigma[i], depth, rules_.body));
   }
 
   // Squared error of an inverse depth where another is expected that a surface departs from by a
@@ -139,7 +198,7 @@ class Columns {
     double sum = 0;
     for (auto k = crossing; k < column.size() && sum > found.told - rules_.most; ++k) {
       sum += gain(column[k], depth);
-      if (sum > found.told) {
+      if (k == crossing || sum > found.told) {
         found.told = sum;
         found.last = k + 1;
       }
@@ -155,20 +214,22 @@ class Columns {
       }
     }
     // Where ground shows right above that row nothing stands.
-    if (first < -rules_.beside) found = {0, crossing, crossing};
+    if (first < -rules_.beside) found = {first, crossing, crossing};
     return found;
   }
 
   void tell(std::size_t c) {
     for (std::size_t k = 0; k < depths_.size(); ++k) {
       const auto found = columns_[c].empty() ? Extent{0, 0, 0} : extent(c, depths_[k]);
-      told_[k * columns_.size() + c] = found.told;
+      double& told = told_[k * columns_.size() + c];
+      lasting_[k * columns_.size() + c] = std::max(told + std::min(found.told, rules_.lasting), 0.0);
+      told = std::max(told + std::min(found.told, rules_.once), 0.0);
       foot_[k * columns_.size() + c] =
-          found.told > 0 ? seen_.under[columns_[c][found.last - 1]] / slope_ : 0;
+          found.last > 0 ? seen_.under[columns_[c][found.last - 1]] / slope_ : 0;
     }
   }
 
-  // The blocks of a body in some columns, at the depth that they show; rows they cover are told of.
+  // The blocks of a body in some columns, at the depth that they show; those columns are told of.
   void take(std::size_t first, std::size_t last, double depth, Blocks& body) {
     for (int round = 0; round < 2; ++round) {
       double weight = 0, mean = 0;
@@ -191,34 +252,35 @@ class Columns {
     }
     std::sort(body.begin(), body.end());
     for (auto c = first; c <= last; ++c) {
-      const auto rows = extent(c, depth);
-      auto& column = columns_[c];
-      column.erase(column.begin() + rows.first, column.begin() + rows.last);
-      column.erase(std::remove_if(column.begin(), column.end(), [&](std::int64_t i) {
-                     return std::binary_search(body.begin(), body.end(), i);
-                   }), column.end());
-      tell(c);
-      // What is left of a column told of tells no more than it did.
-      for (std::size_t k = 0; k < depths_.size(); ++k)
-        if (rows.last == rows.first) told_[k * columns_.size() + c] = 0;
+      columns_[c].clear();
+      for (std::size_t k = 0; k < depths_.size(); ++k) told_[k * columns_.size() + c] = 0;
     }
   }
 
   const Seen& seen_;
   const BodyRules& rules_;
   double uneven_, slope_ = 0;
-  std::vector<double> ground_;  // misfit of each block on the ground: as shown, as foreseen
+  std::vector<double> ground_;  // misfit of each block on the ground
   std::vector<Blocks> columns_;  // from the top down
-  std::vector<double> depths_, told_;
+  std::vector<double> depths_;
+  // (D, C): what this pair and those before tell, and how much of that the next one is told.
+  std::vector<double> told_, lasting_;
   std::vector<double> foot_;  // rows below the horizon
 };
 
-std::vector<Blocks> bodies_of(const Seen& seen, std::int64_t width, const BodyRules& rules) {
-  std::vector<Blocks> found;
+struct Body {
+  Blocks blocks;
+  double evidence;
+};
+
+// Bodies, the surest first; `grid` is told of them.
+std::vector<Body> bodies_of(const Seen& seen, Grid& grid, const BodyRules& rules) {
+  std::vector<Body> found;
   if (seen.at.empty()) return found;
-  Columns columns(seen, width, rules);
-  Blocks body;
-  while (static_cast<double>(found.size()) < rules.many && columns.next(body))
+  Columns columns(seen, grid, rules);
+  grid.told = columns.lasting();
+  Body body;
+  while (static_cast<double>(found.size()) < rules.many && columns.next(body.blocks, body.evidence))
     found.push_back(body);
   return found;
 }
@@ -242,19 +304,30 @@ Blocks without(const Blocks& from, const Blocks& those) {
   return left;
 }
 
-py::tuple with_bodies(const py::object& field, std::int64_t width, const py::object& constants) {
+py::tuple with_bodies(const py::object& field, const py::object& view, const py::object& plane,
+                      const py::tuple& size, const py::tuple& before_,
+                      const py::object& constants) {
   constexpr auto kernel = "with_bodies";
   const In<double> x(kernel, "x", field.attr("x"), {ANY, 2});
   const auto n = x.size();
-  const In<double> rho(kernel, "rho", field.attr("rho"), {n}), sigma(kernel, "noise", field.attr("noise"), {n}),
-      foreseen(kernel, "foreseen", field.attr("foreseen"), {n, 2}),
+  const In<double> rho(kernel, "rho", field.attr("rho"), {n}),
+      sigma(kernel, "noise", field.attr("noise"), {n}),
       under(kernel, "under", field.attr("under"), {n});
   const In<bool> below(kernel, "below", field.attr("below"), {n}),
       fits(kernel, "fits", field.attr("fits"), {n});
   const In<std::int64_t> members(kernel, "members", field.attr("members"), {ANY}),
       first(kernel, "first", field.attr("first"), {ANY});
   check_first(kernel, first, members.size());
+  require(size.size() == 2 && before_.size() == 2, kernel, "size and before are pairs");
+  const In<double> depths(kernel, "depths", before_[0], {ANY}),
+      told(kernel, "told", before_[1], {depths.size(), ANY});
   const BodyRules rules(constants);
+  const Mat3 K = matrix(kernel, "K", view.attr("K"));
+  const Sight sight{K, inverse(K), matrix(kernel, "R", view.attr("R")),
+                    vector(kernel, "t", view.attr("t")), vector(kernel, "ground", plane)};
+  Grid grid{{depths.data(), depths.data() + depths.size()},
+            {told.data(), told.data() + depths.size() * told.size(1)}};
+  grid = carried(grid, sight, size[0].cast<double>(), size[1].cast<double>(), rules);
   std::vector<Blocks> others, own;
   for (py::ssize_t r = 0; r < first.size(); ++r) {
     const auto end = r + 1 < first.size() ? first[r + 1] : members.size();
@@ -264,10 +337,11 @@ py::tuple with_bodies(const py::object& field, std::int64_t width, const py::obj
     const bool looks_farther = sunk > 0.5 * static_cast<double>(region.size());
     (looks_farther ? own : others).push_back(region);
   }
-  Seen seen{x.data(), rho.data(), sigma.data(), under.data(), foreseen.data(), {}};
+  std::vector<double> evidence_of(own.size());
+  Seen seen{x.data(), rho.data(), sigma.data(), under.data(), {}};
   for (py::ssize_t i = 0; i < n; ++i)
     if (fits[i] && under[i] > 0) seen.at.push_back(i);
-  for (const auto& body : bodies_of(seen, width, rules)) {
+  for (const auto& [body, evidence] : bodies_of(seen, grid, rules)) {
     if (body.size() < rules.blocks) continue;
     for (auto& region : others) region = without(region, body);
     std::vector<Blocks> left;
@@ -279,15 +353,26 @@ py::tuple with_bodies(const py::object& field, std::int64_t width, const py::obj
     // What surrounds a larger one is no body: its vectors are pulled along.
     if (beside.size() > body.size() && distance(x.data(), body, beside) < rules.reach) continue;
     own.clear();
-    for (auto& region : left)
-      if (region.size() >= rules.blocks) own.push_back(std::move(region));
+    std::vector<double> of_left;
+    for (std::size_t k = 0; k < left.size(); ++k)
+      if (left[k].size() >= rules.blocks) {
+        own.push_back(std::move(left[k]));
+        of_left.push_back(evidence_of[k]);
+      }
     own.push_back(body);
+    of_left.push_back(evidence);
+    evidence_of = std::move(of_left);
   }
   others.erase(std::remove_if(others.begin(), others.end(),
                               [&](const Blocks& region) { return region.size() < rules.blocks; }),
                others.end());
+  Out<double> evidence({static_cast<py::ssize_t>(others.size() + own.size())});
+  std::copy(evidence_of.begin(), evidence_of.end(), evidence.data() + others.size());
   others.insert(others.end(), own.begin(), own.end());
-  return listed(others);
+  const double norm = std::sqrt(dot(sight.ground, sight.ground));
+  for (double& depth : grid.depths) depth /= norm;
+  return py::make_tuple(listed(others), evidence.array(), array_of(grid.depths),
+                        array_of(grid.told, static_cast<py::ssize_t>(grid.columns())));
 }
 
 }  // namespace

@@ -390,12 +390,12 @@ struct ScoreRules {
         shown(number(o, "shown")), unseen(number(o, "unseen")), no_land(number(o, "no_land")),
         dependence(number(o, "dependence")), around(number(o, "around")), few(number(o, "few")),
         least_copied(number(o, "least_copied")), credit(number(o, "credit")),
-        border(number(o, "border")), together(number(o, "together")), step(number(o, "step")),
+        border(number(o, "border")), together(number(o, "together")), bodies(number(o, "bodies")), copied(number(o, "copied")), step(number(o, "step")),
         back(number(o, "back")), macroblock(number(o, "macroblock")) {}
   double bias, least_drop, foot_sigma, edge_sigma, ground_sigma, bank_sigma, lowest_part,
       least_filled, relief, wide, pull, least_ratio, clearance, outlier, underbody, least_reach,
       half_covered, shown, unseen, no_land, dependence, around, few, least_copied, credit, border,
-      together, step, back, macroblock;
+      together, bodies, copied, step, back, macroblock;
 };
 
 class Judge {
@@ -669,6 +669,20 @@ py::array_t<double> region_departures(const py::object& outlines, const py::obje
   return scores.array();
 }
 
+py::array_t<double> region_evidence(const py::object& outlines, const py::object& evidence_,
+                                    const py::object& seen_, const py::object& constants) {
+  constexpr auto kernel = "region_evidence";
+  const RegionOutlines o(kernel, outlines);
+  const In<double> evidence(kernel, "evidence", evidence_, {o.low.size()});
+  const SeenBlocks seen(kernel, seen_);
+  const ScoreRules c(constants);
+  const Judge judge(o, seen, c);
+  Out<double> scores({o.low.size()});
+  for (py::ssize_t r = 0; r < o.low.size(); ++r)
+    if (evidence[r] > 0) scores[r] = std::min(c.bodies * evidence[r], c.copied * judge.credible(r));
+  return scores.array();
+}
+
 }  // namespace
 }  // namespace kernels
 
@@ -678,4 +692,5 @@ void bind_region_score(kernels::py::module_& module) {
   module.def("region_outlines", region_outlines);
   module.def("region_scores", region_scores);
   module.def("region_departures", region_departures);
+  module.def("region_evidence", region_evidence);
 }

@@ -3,14 +3,20 @@
 A car ahead moves as something still and farther off does, which the ground before it would have
 to hide. Where the parallax is small its blocks err by as much as that: each by itself may be
 ground. Together they are not, since all of them show one depth, and the ground's changes from row
-to row. What goes on below the row where the ground is as far tells so, column by column, by the
-vectors of this pair and by what those before foresee (the column model of the Stixel world,
-Pfeiffer & Franke, of two surfaces).
+to row. What goes on below the row where the ground is as far tells so, column by column (the
+column model of the Stixel world, Pfeiffer & Franke, of two surfaces).
+
+One pair seldom tells enough. What drives ahead steadily comes nearer as something still and
+farther off would, so what was told of a depth and column is carried on as if it stood still, and
+summed as long as it is above zero (the cumulative sum of E. S. Page, "Continuous inspection
+schemes", Biometrika 41, 1954). Only on the way ahead: the plane of the road is no model of the
+land beside it.
 """
 
 from typing import NamedTuple
 
 from mv_slapse.kernels.binding import compiled
+from mv_slapse.movers.moving_plane import View
 import numpy as np
 
 
@@ -24,9 +30,14 @@ class Rules(NamedTuple):
     road: float = 0.07  # the same of the ground, at least: slope, kerbs
     sharp: float = 0.15  # of a block's depth, as a share: sigma at which it tells how flat it is
     usual: float = 20.0  # such blocks below it that tell as much as what grounds usually are
-    most: float = 3.0  # log-likelihood that one block tells at most: its vector may be wrong
+    most: float = 3.0  # log-likelihood that one block tells at most: its vector may be wrong,
+    once: float = 4.0  # one column in a pair, whose vectors are copied from one another,
+    lasting: float = 2.0  # and of that what the next pair is told: no pair decides alone
+    fading: float = 0.95  # of what was told, from pair to pair
+    lane: float = 3.0  # [m] beside the way ahead, at the depth shown, where it is carried on:
+    # half a car beyond 1.2 m, which looks 1.4 times as far off
     agrees: float = 3.0  # standard deviations of a body's depth within which a block is of it
-    least: float = 4.0  # log-likelihood that makes a body worth a closer look,
+    least: float = 8.0  # log-likelihood that makes a body worth a closer look,
     beside: float = 1.0  # more of each of its columns: noise tells some
     many: float = 6.0  # bodies of one pair that are looked at
     above: float = 0.7  # share of its inverse depth that the ground has in its highest row
@@ -38,12 +49,26 @@ class Rules(NamedTuple):
 RULES = Rules()
 
 
-def with_bodies(regions, width: int, camera_height: float) -> tuple[np.ndarray, np.ndarray]:
+class Bodies(NamedTuple):
+    """What pairs tell of upright bodies: log-likelihoods by apparent inverse depth and column."""
+
+    depths: np.ndarray = np.zeros(0)  # (D,) [1/height of the camera]
+    told: np.ndarray = np.zeros((0, 0))  # (D, C), C columns of macroblocks
+
+
+def with_bodies(regions, view: View, ground: np.ndarray, camera_height: float,
+                size: tuple[int, int], before: Bodies
+                ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Bodies]:
     """Return regions with the bodies that only together look farther than the ground.
 
-    A body takes the blocks of regions that look as far. Of ``regions`` x, rho, noise, foreseen,
-    under, below, fits, members and first are read, as of movers.regions; ``width`` is the
-    picture's [px], ``camera_height`` above the ground [m]. Returns members and first.
+    A body takes the blocks of regions that look as far. Of ``regions`` x, rho, noise, under,
+    below, fits, members and first are read, as of movers.regions; ``ground`` (3,) is n / d,
+    ``size`` the picture's [px], ``camera_height`` above the ground [m], ``before`` what the last
+    pair returned.
+    Returns members, first, the evidence (R,) of several pairs for each region, 0 if it is no body,
+    and what the next pair is told.
     """
-    rules = RULES._replace(widest=RULES.widest / camera_height)
-    return compiled.with_bodies(regions, width, rules)
+    rules = RULES._replace(widest=RULES.widest / camera_height, lane=RULES.lane / camera_height)
+    (members, first), evidence, *told = compiled.with_bodies(
+        regions, view, ground, size, tuple(before), rules)
+    return members, first, evidence, Bodies(*told)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from mv_slapse.kernels.binding import compiled
+from mv_slapse.movers.body import Bodies
 from mv_slapse.records import Extraction
 import numpy as np
 
@@ -53,6 +54,7 @@ class Memory:
     id: np.ndarray = _none(dtype=int)
     seen: np.ndarray = _none(dtype=int)  # (N,) int64: when each had a vector [ns]
     next_id: int = FIRST_ID  # for a region that is new
+    bodies: Bodies = Bodies()  # of the pair
 
     def inherited(self, extraction: Extraction) -> History:
         """Return what the blocks of a pair were before, by where their vectors point.

@@ -18,7 +18,7 @@ from mv_slapse.movers.identity import FADING, ids_of, Judged, Memory
 from mv_slapse.movers.moving_plane import fit_surfaces, Regions, settled, Surfaces, View
 from mv_slapse.movers.outlines import NOT_KNOWN, outlines
 from mv_slapse.movers.outlines import RULES as OUTLINE
-from mv_slapse.movers.score import departures, scores
+from mv_slapse.movers.score import departures, lasting, scores
 from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
 
@@ -156,12 +156,13 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     motion = extraction.motion
     view = View(extraction.K, np.ascontiguousarray(motion.R_cur_from_prev, float),
                 np.ascontiguousarray(motion.t_cur_from_prev, float))
-    alike = _regions(extraction, pair, view, ground)
+    alike, evidence, bodies = _regions(extraction, pair, view, ground, memory)
     fit = _fitted(alike, view, ground)
-    now = _scored(alike, fit, view, ground)
+    *now, summed = _scored(alike, fit, view, ground, evidence)
     # A parked car that starts keeps the id of its plane.
     told = _Scores(*compiled.histories(alike, *now, memory.inherited(extraction), pair.plane_id,
                                        ground.id, RULES))
+    told = told._replace(total=np.maximum(told.total, summed))
     moves = _moves(alike, told, threshold, ground)
     size = alike.size
     ids, next_id = ids_of(size, moves, told.known, memory.next_id)
@@ -172,7 +173,7 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
               if (plane := settled(fit, alike, i, view, seen)) is not None}
     found = _labelled(extraction, alike, planes, ids, told, view) if planes else extraction
     judged = Judged(pair.x, pair.x_prev, pair.block, told.score, told.left, known)
-    return found, memory.after(extraction, judged, next_id)
+    return found, replace(memory.after(extraction, judged, next_id), bodies=bodies)
 
 
 def _pair(extraction, before):
@@ -184,14 +185,20 @@ def _pair(extraction, before):
                  extraction.label == Label.UNKNOWN.value)
 
 
-def _regions(extraction, pair, view, ground):
-    """Judge the blocks singly and join those that move alike, or are one body."""
+def _regions(extraction, pair, view, ground, memory):
+    """Judge the blocks singly and join those that move alike, or are one body.
+
+    Also returns what several pairs tell of each region as a body, and of bodies everywhere.
+    """
     alike = _Alike(*pair, *compiled.moving_regions(
         pair, view, NOT_KNOWN if ground.plane is None else ground.plane, ground.nearer, RULES))
     if ground.plane is None:
-        return alike
-    members, first = body.with_bodies(alike, extraction.width, ground.camera_height)
-    return alike._replace(members=members, first=first)
+        return alike, np.zeros(len(alike.first)), body.Bodies()
+    follows = memory.stamp == extraction.previous_stamp
+    members, first, evidence, bodies = body.with_bodies(
+        alike, view, ground.plane, ground.camera_height, (extraction.width, extraction.height),
+        memory.bodies if follows else body.Bodies())
+    return alike._replace(members=members, first=first), evidence, bodies
 
 
 def _fitted(alike, view, ground) -> Surfaces:
@@ -204,10 +211,11 @@ def _fitted(alike, view, ground) -> Surfaces:
                         view, ground.plane)
 
 
-def _scored(alike, fit, view, ground):
-    """Return the scores (R,), (R,) of each region in this pair; 0 where no plane fits.
+def _scored(alike, fit, view, ground, evidence):
+    """Return scores (R,) of each region: that it moves, and that it has left where it stood.
 
-    That it moves, and that it has left where it stood.
+    Both by this pair, 0 where no plane fits; then that it moves, by the ``evidence`` of several
+    pairs, where this one agrees.
     """
     outline = outlines(alike, view.K, ground.plane,
                        ground.level if ground.plane is None else ground.plane,
@@ -215,8 +223,9 @@ def _scored(alike, fit, view, ground):
     likelihood = compiled.departed(alike.departure, alike.rho, alike.under, alike.members,
                                    alike.first, RULES)
     fits = np.isfinite(fit.variance)
-    return (np.where(fits, scores(fit, outline, view.K, view.t, alike, ground.nearer), 0.0),
-            np.where(fits, departures(outline, likelihood, alike), 0.0))
+    now = np.where(fits, scores(fit, outline, view.K, view.t, alike, ground.nearer), 0.0)
+    return (now, np.where(fits, departures(outline, likelihood, alike), 0.0),
+            np.where(now > 0, lasting(outline, evidence, alike), 0.0))
 
 
 def _moves(alike, told, threshold, ground):

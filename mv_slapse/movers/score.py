@@ -49,6 +49,8 @@ class Rules(NamedTuple):
     credit: float = 0.16  # score of a vector by the odds that it is no copy: as of 1 Mbit/s
     border: float = 48.0  # px from the picture's sides: what they cut may be of any width
     together: float = 4.0  # departed blocks that tell as much as one: they err by one common depth
+    bodies: float = 0.8  # share of the evidence of several pairs that counts: 16 for a mover,
+    copied: float = 0.5  # share of what vectors deserve that it counts up to: copies last, too
     step: float = 10.0  # largest part of the score of one pair,
     back: float = -5.0  # and smallest
     macroblock: float = MACROBLOCK
@@ -74,3 +76,11 @@ def departures(outline: Outlines, likelihood: np.ndarray, seen) -> np.ndarray:
     ``seen`` are all blocks, in regions or not.
     """
     return compiled.region_departures(outline, likelihood, seen, RULES)
+
+
+def lasting(outline: Outlines, evidence: np.ndarray, seen) -> np.ndarray:
+    """Return the score (R,) of ``evidence`` (R,) of several pairs, as of movers.body.
+
+    It is no more than the vectors of a region deserve.
+    """
+    return compiled.region_evidence(outline, evidence, seen, RULES)

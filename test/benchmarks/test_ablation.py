@@ -98,8 +98,8 @@ rules.switch_off('terrain')
 rules.switch_off('iterations beyond 2')
 from mv_slapse.movers import body, outlines
 from mv_slapse.tools import rows
-regions = type('Regions', (), {{'members': 1, 'first': 2}})
-assert body.with_bodies(regions, (3, 4)) == (1, 2)
+regions = type('Regions', (), {{'members': [1], 'first': [2]}})
+assert body.with_bodies(regions, (3, 4))[:2] == ([1], [2])
 assert outlines.RULES.dependence == np.inf
 assert rows.settings_of(type('Case', (), {{'height': 0.0}})).scene.iterations == 2
 """

@@ -72,11 +72,20 @@ def test_bodies_are_those_of_the_formula(rng):
         rho[own] = share * under[own].max() * rng.normal(1, 0.1, own.sum())
     field = alike._replace(members=np.zeros(0, int), first=np.zeros(0, int), rho=rho,
                            noise=0.1 * np.abs(under), fits=rng.uniform(size=n) < 0.9)
-    expected = bodies_reference.bodies(field, SIZE[0], body.RULES._replace(widest=2.0))
-    members, first = body.with_bodies(field, SIZE[0], 1.65)
+    view = view._replace(t=np.array([0.1, 0.0, -1.0]))
+    before = body.Bodies(np.geomspace(0.02, 0.5, 32), rng.uniform(0, 4, (32, 40)))
+    rules = body.RULES._replace(widest=2.0, lane=body.RULES.lane / 1.65)
+    depths, told = bodies_reference.grid_of(view, ground, SIZE, before, rules)
+    assert 0.05 < np.mean(told > 0) < 0.95
+    expected, lasting = bodies_reference.bodies(field, depths, told, rules)
+    (members, first), evidence, *found = compiled.with_bodies(field, view, ground, SIZE,
+                                                              tuple(before), rules)
     assert len(expected) >= 2
-    for own, other in zip(reference.split(members, first), expected, strict=True):
+    for own, (other, _) in zip(reference.split(members, first), expected, strict=True):
         np.testing.assert_array_equal(own, other)
+    np.testing.assert_allclose(evidence, [one for _, one in expected], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found[0], depths / np.linalg.norm(ground), rtol=1e-12)
+    np.testing.assert_allclose(found[1], lasting, rtol=1e-9, atol=1e-9)
 
 
 def test_no_blocks_are_no_regions(scene):

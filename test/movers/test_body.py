@@ -2,14 +2,20 @@
 
 from typing import NamedTuple
 
-from mv_slapse.movers.body import RULES, with_bodies
+from mv_slapse.movers.body import Bodies, RULES, with_bodies
+from mv_slapse.movers.moving_plane import View
 import numpy as np
 import pytest
 
-WIDTH, HEIGHT = 640, 1.65  # px, m
+SIZE, HEIGHT = (640, 480), 1.65  # px, m
 HORIZON, SLOPE = 240.0, 8e-4  # row; inverse depth of the ground for each row below it [1/baseline]
 NOISE = 0.14  # of a block's inverse depth, as a share of the ground's there
+FOCAL = 500.0
+GROUND = np.array([0.0, -SLOPE * FOCAL, 0.0])  # n / d [1/baseline]
 CAR, FOOT = (380.0, 448.0), 296.0  # columns and lowest row of a car [px]
+K = np.array([[FOCAL, 0, 320], [0, FOCAL, HORIZON], [0, 0, 1]])
+BESIDE = View(K, np.eye(3), np.array([0.4, 0.0, -1.0]))  # of the car
+AHEAD = View(K, np.eye(3), np.array([(320 - sum(CAR) / 2) / FOCAL, 0.0, -1.0]))  # towards it
 X = np.stack(np.meshgrid(np.arange(7.5, 640, 16), np.arange(7.5, 480, 16)), -1).reshape(-1, 2)
 X = X[X[:, 1] > HORIZON + 4]
 UNDER = SLOPE * (X[:, 1] - HORIZON)
@@ -25,7 +31,6 @@ class Field(NamedTuple):
     x: np.ndarray
     rho: np.ndarray
     noise: np.ndarray
-    foreseen: np.ndarray
     under: np.ndarray
     below: np.ndarray
     fits: np.ndarray
@@ -41,8 +46,7 @@ def blocks(seed=0, car=NEARNESS, ground=1.0, noise=NOISE):
         rho = np.where(ON_CAR, car * SLOPE * (FOOT - HORIZON), rho)
     sigma = noise * UNDER
     none = np.zeros(len(X), bool)
-    unknown = np.tile((0.0, np.inf), (len(X), 1))
-    return Field(X, rho + sigma * rng.standard_normal(len(X)), sigma, unknown, UNDER, none, ~none)
+    return Field(X, rho + sigma * rng.standard_normal(len(X)), sigma, UNDER, none, ~none)
 
 
 def bodies(field):
@@ -53,9 +57,22 @@ def bodies(field):
 def with_regions(regions, field):
     """Return the blocks of each region and body, given those of regions."""
     first = np.cumsum([0, *map(len, regions)])[:-1] if regions else np.zeros(0, int)
-    members, first = with_bodies(field._replace(
-        members=np.concatenate([np.zeros(0, int), *regions]), first=first), WIDTH, HEIGHT)
+    members, first, *_ = told(field._replace(
+        members=np.concatenate([np.zeros(0, int), *regions]), first=first))
     return np.split(members, first[1:]) if len(first) else []
+
+
+def told(field, before=None, view=BESIDE):
+    """Return all that with_bodies does."""
+    return with_bodies(field, view, GROUND, HEIGHT, SIZE, before or Bodies())
+
+
+def evidence_of(fields, view):
+    """Return the evidence of the surest body after some pairs, 0 without any."""
+    before = Bodies()
+    for field in fields:
+        *_, evidence, before = told(field, before, view)
+    return max(evidence, default=0.0)
 
 
 def is_alone(given):
@@ -67,7 +84,9 @@ def is_alone(given):
 def test_blocks_that_may_each_be_ground_make_a_body(seed):
     given = blocks(seed)
     assert np.mean(is_alone(given)[HIDING]) <= 0.5
-    largest = max(bodies(given), key=len)
+    *_, before = told(blocks(seed + 50), view=AHEAD)
+    members, first, *_ = told(given, before, AHEAD)
+    largest = max(np.split(members, first[1:]), key=len)
     assert np.mean(np.isin(np.flatnonzero(HIDING), largest)) >= 0.6
     assert np.mean(ON_CAR[largest]) >= 0.9
 
@@ -97,13 +116,13 @@ def test_a_body_is_bounded_by_its_depth_not_by_what_is_wrong():
 
 def test_one_vector_makes_no_body():
     one = np.flatnonzero(HIDING)[:1]
-    given = Field(*(values[one] for values in blocks(0, noise=0.01)[:7]))
+    given = Field(*(values[one] for values in blocks(0, noise=0.01)[:6]))
     assert is_alone(given).all()
     assert not bodies(given)
 
 
 def test_no_blocks_make_no_body():
-    assert bodies(Field(*(values[:0] for values in blocks()[:7]))) == []
+    assert bodies(Field(*(values[:0] for values in blocks()[:6]))) == []
 
 
 def test_a_body_takes_the_blocks_of_regions_that_look_as_far():
@@ -120,19 +139,50 @@ def test_a_body_takes_the_blocks_of_regions_that_look_as_far():
     assert sum(np.isin(largest, region).any() for region in regions) == 1
 
 
-def test_blocks_make_a_body_that_the_pairs_before_foresaw():
-    given = blocks(0, noise=0.7)
-    foreseen = np.where(ON_CAR, NEARNESS * SLOPE * (FOOT - HORIZON), UNDER)
-    sure = given._replace(foreseen=np.c_[foreseen, 0.1 * UNDER])
-    shares = [max((np.mean(np.isin(np.flatnonzero(HIDING), body)) for body in bodies(field)),
-                  default=0.0) for field in (given, sure)]
-    assert shares[0] < 0.2
-    assert shares[1] > 0.6
+def test_several_pairs_tell_what_none_of_them_does():
+    pairs = [blocks(seed) for seed in range(6)]
+    sums = [evidence_of(pairs[:n], AHEAD) for n in range(1, 7)]
+    assert max(evidence_of([pair], AHEAD) for pair in pairs) < 8
+    assert sums[-1] > 16
+    assert sums == sorted(sums)
 
 
-def test_a_vector_that_contradicts_what_was_foreseen_makes_none():
-    given = blocks(0)
-    assert not bodies(given._replace(foreseen=np.c_[UNDER, 0.1 * UNDER]))
+def test_what_lies_beside_the_way_ahead_is_not_summed():
+    assert evidence_of([blocks(seed) for seed in range(6)], BESIDE) < 8
+
+
+def test_ground_that_shows_takes_back_what_was_told():
+    pairs = [blocks(seed) for seed in range(4)]
+    ground = [blocks(seed, car=None) for seed in range(9)]
+    assert evidence_of(pairs, AHEAD) > 16
+    assert evidence_of(pairs + ground, AHEAD) == 0
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_ground_alone_never_sums_up(seed):
+    assert evidence_of([blocks(100 * seed + i, car=None) for i in range(20)], AHEAD) < 8
+
+
+def test_what_was_told_goes_on_as_what_stands_still_comes_nearer():
+    *_, before = told(blocks(0, noise=0.02), view=AHEAD)
+    own = int((CAR[0] + 24) // 16)
+    turned = View(K, np.array([[np.cos(0.1), 0, np.sin(0.1)], [0, 1, 0],
+                               [-np.sin(0.1), 0, np.cos(0.1)]]), AHEAD.t)
+    nothing = Field(*(values[:0] for values in blocks()[:6]))
+    for view, shift in ((AHEAD, 0), (turned, 3)):  # 0.1 rad are three columns
+        *_, after = told(nothing, before, view)
+        share = after.told[:, own + shift].max() / before.told[:, own].max()
+        assert 0.7 < share <= 0.95
+    *_, after = told(nothing, before, AHEAD)
+    heaviest = [np.average(1 / bodies.depths, weights=bodies.told[:, own])
+                for bodies in (before, after)]
+    assert heaviest[0] - heaviest[1] == pytest.approx(np.linalg.norm(GROUND), rel=0.2)
+
+
+def test_pictures_of_another_size_begin_anew():
+    *_, before = told(blocks(0), view=AHEAD)
+    *_, after = with_bodies(blocks(0, car=None), AHEAD, GROUND, HEIGHT, (320, 480), before)
+    assert after.told.shape == (32, 20)
 
 
 def test_no_body_is_wider_than_a_vehicle():
