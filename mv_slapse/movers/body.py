@@ -34,8 +34,8 @@ class Rules(NamedTuple):
     once: float = 4.0  # one column in a pair, whose vectors are copied from one another,
     lasting: float = 2.0  # and of that what the next pair is told: no pair decides alone
     fading: float = 0.95  # of what was told, from pair to pair
-    lane: float = 3.0  # [m] beside the way ahead, at the depth shown, where it is carried on:
-    # half a car beyond 1.2 m, which looks 1.4 times as far off
+    lane: float = 6.0  # [m] beside the way ahead, at the depth shown, where it is carried on:
+    # half a car beyond 1.2 m, which looks 1.4 to 3 times as far off
     agrees: float = 3.0  # standard deviations of a body's depth within which a block is of it
     least: float = 8.0  # log-likelihood that makes a body worth a closer look,
     beside: float = 1.0  # more of each of its columns: noise tells some
