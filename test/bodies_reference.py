@@ -97,31 +97,22 @@ def told_of(field, column, depth, uneven, c):
     gain = 0.5 * (np.minimum(ground, 2 * c.most) - np.minimum(body, 2 * c.most))
     crossing = int(np.argmax(np.r_[under > depth, True]))
 
-    def reached(gains, best=0.0, length=0):
-        total = 0.0
-        for k, one in enumerate(gains):
-            if total <= best - c.most:
-                break
-            total += one
-            if total > best:
-                best, length = total, k + 1
-        return best, length
     below, upward = gain[crossing:], gain[:crossing][::-1]
-    # Where even the first block shows the ground, that counts against the body.
-    down, rows = reached(below) if not len(below) or below[0] > 0 else at_least_one(below, c)
     if first_two(upward, c) < -c.beside:
         return first_two(upward, c), crossing, crossing
-    return down, crossing - reached(upward)[1], crossing + rows
+    # Where even the first block shows the ground, that counts against the body.
+    down, rows = reached(below, 1, c)
+    return down, crossing - reached(upward, 0, c)[1], crossing + rows
 
 
-def at_least_one(gains, c):
-    """Return the greatest sum of the first gains, of one at least, and of how many."""
-    best, length, total = gains[0], 1, 0.0
+def reached(gains, least, c):
+    """Return the greatest sum of the first gains, of so many at least, and of how many."""
+    best, length, total = 0.0, 0, 0.0
     for k, one in enumerate(gains):
-        if k and total <= best - c.most:
+        if total <= best - c.most:
             break
         total += one
-        if total > best:
+        if k < least or total > best:
             best, length = total, k + 1
     return best, length
 

@@ -47,50 +47,44 @@ struct Grid {
   }
 };
 
-// A camera, its motion X_cur = R X_prev + t, and the ground below it, n / d.
-struct Sight {
-  Mat3 K, inverse_K, R;
-  Vec3 t, ground;
-};
-
 // Middle of a column of macroblocks [px].
 double middle(double column) { return BlockGrid::MACROBLOCK * column + 7.5; }
 
 // The grid of a picture, of inverse depths in units of its baseline, with what the pairs before told
 // of bodies on the way ahead. If they stand still, as what drives on steadily seems to, they come
 // nearer by the camera's way alone. `before` has inverse depths in units of the camera's height.
-Grid carried(const Grid& before, const Sight& sight, double width, double height,
+Grid carried(const Grid& before, const View& view, const Vec3& ground, double width, double height,
              const BodyRules& rules) {
-  const double norm = std::sqrt(dot(sight.ground, sight.ground));
-  const auto under = [&](double x, double y) {
-    return -dot(sight.inverse_K * Vec3{x, y, 1}, sight.ground);
-  };
+  const double norm = std::sqrt(dot(ground, ground));
   const auto n = static_cast<std::size_t>(std::ceil(width / BlockGrid::MACROBLOCK));
   Grid grid;
   // Of a camera that looks up the ground lies below the picture.
-  double depth = rules.farthest * std::max(under(0.5 * width, height), 1e-3 * norm);
+  const double lowest = -dot(view.inverse_K * Vec3{0.5 * width, height, 1}, ground);
+  double depth = rules.farthest * std::max(lowest, 1e-3 * norm);
   const double step = std::pow(rules.nearest / rules.farthest, 1 / (rules.depths - 1));
   for (int k = 0; k < rules.depths; ++k, depth *= step) grid.depths.push_back(depth);
   grid.told.resize(grid.depths.size() * n);
   // Nothing is carried on where the camera does not go ahead, nor from another size of picture.
   if (before.depths.size() != grid.depths.size() || before.columns() != n || n < 2 ||
-      !(sight.t[2] < 0))
+      !(view.t[2] < 0))
     return grid;
-  const double course = sight.K[2] + sight.K[0] * sight.t[0] / sight.t[2];
+  const double course = view.K[2] + view.K[0] * view.t[0] / view.t[2];
   const double ratio = std::log(before.depths[1] / before.depths[0]);
-  for (std::size_t k = 0; k < grid.depths.size(); ++k)
-    for (std::size_t c = 0; c < n; ++c) {
-      const double aside = std::abs(middle(c) - course) / sight.K[0] * norm / grid.depths[k];
-      if (aside > rules.lane) continue;
-      const Vec3 ray = sight.inverse_K * Vec3{middle(c), sight.K[5], 1};
+  const Mat3 back = transposed(view.R);
+  for (std::size_t c = 0; c < n; ++c) {
+    const double aside = std::abs(middle(c) - course) / view.K[0] * norm;
+    const Vec3 ray = view.inverse_K * Vec3{middle(c), view.K[5], 1};
+    for (std::size_t k = 0; k < grid.depths.size(); ++k) {
+      if (aside / grid.depths[k] > rules.lane) continue;
       Vec3 X;
-      for (int a = 0; a < 3; ++a) X[a] = ray[a] / grid.depths[k] - sight.t[a];
-      const Vec3 P = sight.K * (transposed(sight.R) * X);
+      for (int a = 0; a < 3; ++a) X[a] = ray[a] / grid.depths[k] - view.t[a];
+      const Vec3 P = view.K * (back * X);
       if (!(P[2] > 0)) continue;
       const double row = std::log(1 / (P[2] * norm * before.depths[0])) / ratio;
       const double column = (P[0] / P[2] - middle(0)) / BlockGrid::MACROBLOCK;
       grid.told[k * n + c] = rules.fading * before.at(row, column);
     }
+  }
   return grid;
 }
 
@@ -119,7 +113,7 @@ class Columns {
  public:
   Columns(const Seen& seen, const Grid& before, const BodyRules& rules)
       : seen_(seen), rules_(rules), uneven_(unevenness(seen, rules)), columns_(before.columns()),
-        depths_(before.depths), told_(before.told), lasting_(before.told), foot_(told_.size()) {
+        depths_(before.depths), told_(before.told), lasting_(told_.size()), foot_(told_.size()) {
     auto lowest = seen.at.front(), highest = lowest;
     ground_.resize(1 + *std::max_element(seen.at.begin(), seen.at.end()));
     for (const auto i : seen.at) {
@@ -304,7 +298,7 @@ Blocks without(const Blocks& from, const Blocks& those) {
   return left;
 }
 
-py::tuple with_bodies(const py::object& field, const py::object& view, const py::object& plane,
+py::tuple with_bodies(const py::object& field, const py::object& view, const py::object& ground_,
                       const py::tuple& size, const py::tuple& before_,
                       const py::object& constants) {
   constexpr auto kernel = "with_bodies";
@@ -322,12 +316,11 @@ py::tuple with_bodies(const py::object& field, const py::object& view, const py:
   const In<double> depths(kernel, "depths", before_[0], {ANY}),
       told(kernel, "told", before_[1], {depths.size(), ANY});
   const BodyRules rules(constants);
-  const Mat3 K = matrix(kernel, "K", view.attr("K"));
-  const Sight sight{K, inverse(K), matrix(kernel, "R", view.attr("R")),
-                    vector(kernel, "t", view.attr("t")), vector(kernel, "ground", plane)};
+  const Vec3 ground = vector(kernel, "ground", ground_);
   Grid grid{{depths.data(), depths.data() + depths.size()},
             {told.data(), told.data() + depths.size() * told.size(1)}};
-  grid = carried(grid, sight, size[0].cast<double>(), size[1].cast<double>(), rules);
+  grid = carried(grid, View(kernel, view), ground, size[0].cast<double>(), size[1].cast<double>(),
+                 rules);
   std::vector<Blocks> others, own;
   for (py::ssize_t r = 0; r < first.size(); ++r) {
     const auto end = r + 1 < first.size() ? first[r + 1] : members.size();
@@ -369,7 +362,7 @@ py::tuple with_bodies(const py::object& field, const py::object& view, const py:
   Out<double> evidence({static_cast<py::ssize_t>(others.size() + own.size())});
   std::copy(evidence_of.begin(), evidence_of.end(), evidence.data() + others.size());
   others.insert(others.end(), own.begin(), own.end());
-  const double norm = std::sqrt(dot(sight.ground, sight.ground));
+  const double norm = std::sqrt(dot(ground, ground));
   for (double& depth : grid.depths) depth /= norm;
   return py::make_tuple(listed(others), evidence.array(), array_of(grid.depths),
                         array_of(grid.told, static_cast<py::ssize_t>(grid.columns())));

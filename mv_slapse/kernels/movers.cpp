@@ -90,15 +90,6 @@ struct Blocks {
   In<bool> wrong;
 };
 
-struct View {
-  View(const char* kernel, const py::object& o)
-      : K(matrix(kernel, "K", o.attr("K"))), R(matrix(kernel, "R", o.attr("R"))),
-        t(vector(kernel, "t", o.attr("t"))), inverse_K(inverse(K)) {}
-  Mat3 K, R;
-  Vec3 t;
-  Mat3 inverse_K;
-};
-
 // Columns of blocks that tell which of them cannot belong to an obstacle.
 struct Field {
   explicit Field(py::ssize_t n)

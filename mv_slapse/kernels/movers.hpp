@@ -40,6 +40,16 @@ inline Mat3 inverse(const Mat3& A) {
           d * ab[1], d * bc[2], d * ca[2], d * ab[2]};
 }
 
+// A camera and its motion, X_cur = R X_prev + t: movers/moving_plane.py's View.
+struct View {
+  View(const char* kernel, const py::object& o)
+      : K(matrix(kernel, "K", o.attr("K"))), R(matrix(kernel, "R", o.attr("R"))),
+        t(vector(kernel, "t", o.attr("t"))), inverse_K(inverse(K)) {}
+  Mat3 K, R;
+  Vec3 t;
+  Mat3 inverse_K;
+};
+
 // Starts of regions (R,) must rise from 0 and stay below the number of rows.
 inline void check_first(const char* kernel, const In<std::int64_t>& first, py::ssize_t rows) {
   for (py::ssize_t r = 0; r < first.size(); ++r)

@@ -400,8 +400,12 @@ struct ScoreRules {
 
 class Judge {
  public:
-  Judge(const RegionOutlines& outline, const SeenBlocks& seen, const ScoreRules& rules)
-      : o(outline), seen(seen), c(rules) {}
+  Judge(const char* kernel, const py::object& outlines, const py::object& blocks,
+        const py::object& constants)
+      : o(kernel, outlines), seen(kernel, blocks), c(constants) {}
+  const RegionOutlines o;
+  const SeenBlocks seen;
+  const ScoreRules c;
 
   double width(py::ssize_t r) const { return o.high(r, 0) - o.low(r, 0) + c.macroblock; }
   double height(py::ssize_t r) const { return o.high(r, 1) - o.low(r, 1) + c.macroblock; }
@@ -546,10 +550,6 @@ class Judge {
   double likely(py::ssize_t i, double rho, double sigma) const {
     return normal((seen.rho[i] - rho) / sigma);
   }
-
-  const RegionOutlines& o;
-  const SeenBlocks& seen;
-  const ScoreRules& c;
 };
 
 // Covariance of a region's rate with what its vectors err alike.
@@ -576,17 +576,16 @@ Mat3 rate_covariance(const double* own, const double* rate, const double* centre
 
 py::array_t<double> region_scores(const py::object& fit, const py::object& outlines,
                                   const py::object& K_, const py::object& t_,
-                                  const py::object& seen_, bool known_ground,
+                                  const py::object& seen, bool known_ground,
                                   const py::object& constants) {
   constexpr auto kernel = "region_scores";
-  const RegionOutlines o(kernel, outlines);
+  const Judge judge(kernel, outlines, seen, constants);
+  const RegionOutlines& o = judge.o;
+  const ScoreRules& c = judge.c;
   const auto R = o.low.size();
   const In<double> theta(kernel, "theta", fit.attr("theta"), {R, N}),
       covariance(kernel, "covariance", fit.attr("covariance"), {R, N, N}),
       centres(kernel, "centre", fit.attr("centre"), {R, 2});
-  const SeenBlocks seen(kernel, seen_);
-  const ScoreRules c(constants);
-  const Judge judge(o, seen, c);
   const Mat3 K = matrix(kernel, "K", K_), K_inverse = inverse(K);
   const Vec3 t = vector(kernel, "t", t_);
   const bool drives = t[0] != 0 || t[1] != 0 || t[2] != 0;
@@ -651,13 +650,12 @@ py::array_t<double> region_scores(const py::object& fit, const py::object& outli
 }
 
 py::array_t<double> region_departures(const py::object& outlines, const py::object& likelihood_,
-                                      const py::object& seen_, const py::object& constants) {
+                                      const py::object& seen, const py::object& constants) {
   constexpr auto kernel = "region_departures";
-  const RegionOutlines o(kernel, outlines);
+  const Judge judge(kernel, outlines, seen, constants);
+  const RegionOutlines& o = judge.o;
+  const ScoreRules& c = judge.c;
   const In<double> likelihood(kernel, "likelihood", likelihood_, {o.low.size()});
-  const SeenBlocks seen(kernel, seen_);
-  const ScoreRules c(constants);
-  const Judge judge(o, seen, c);
   Out<double> scores({o.low.size()});
   for (py::ssize_t r = 0; r < o.low.size(); ++r) {
     // Above the horizon nothing is known; nor does a building leave.
@@ -670,16 +668,14 @@ py::array_t<double> region_departures(const py::object& outlines, const py::obje
 }
 
 py::array_t<double> region_evidence(const py::object& outlines, const py::object& evidence_,
-                                    const py::object& seen_, const py::object& constants) {
+                                    const py::object& seen, const py::object& constants) {
   constexpr auto kernel = "region_evidence";
-  const RegionOutlines o(kernel, outlines);
-  const In<double> evidence(kernel, "evidence", evidence_, {o.low.size()});
-  const SeenBlocks seen(kernel, seen_);
-  const ScoreRules c(constants);
-  const Judge judge(o, seen, c);
-  Out<double> scores({o.low.size()});
-  for (py::ssize_t r = 0; r < o.low.size(); ++r)
-    if (evidence[r] > 0) scores[r] = std::min(c.bodies * evidence[r], c.copied * judge.credible(r));
+  const Judge judge(kernel, outlines, seen, constants);
+  const In<double> evidence(kernel, "evidence", evidence_, {judge.o.low.size()});
+  Out<double> scores({evidence.size()});
+  for (py::ssize_t r = 0; r < evidence.size(); ++r)
+    if (evidence[r] > 0)
+      scores[r] = std::min(judge.c.bodies * evidence[r], judge.c.copied * judge.credible(r));
   return scores.array();
 }
 
