@@ -6,8 +6,8 @@ so on to the anchor, the last key frame that was published.
 """
 
 from collections import deque
-from dataclasses import replace
 
+from mv_slapse.changed import replace
 from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.camera import Camera, undistort
 from mv_slapse.kernels.binding import compiled

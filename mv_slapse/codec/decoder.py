@@ -1,8 +1,8 @@
 """Packets in, correspondences out: the decoder as one object with one verb."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
+from mv_slapse.changed import replace
 from mv_slapse.codec.bridging import can_bridge, is_untrue, search
 from mv_slapse.codec.chaining import Chainer, median_flow
 from mv_slapse.codec.evidence import collect, Evidence, halves

@@ -1,7 +1,8 @@
 """Direct and indirect evidence of a segment's motion, [SLAPSE] III-A and figure 2(b)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from mv_slapse.changed import replace
 from mv_slapse.codec.motion_vectors import FrameVectors, PAST
 from mv_slapse.codec.prediction import kernel_frame
 from mv_slapse.codec.segments import kind_of, Segment

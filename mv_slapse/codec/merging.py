@@ -1,8 +1,8 @@
 """A segment's evidence to one vector for each macroblock, section V-A of [SLAPSE]."""
 
-from dataclasses import replace
 from math import sqrt
 
+from mv_slapse.changed import replace
 from mv_slapse.codec.evidence import Evidence, is_ambiguous, references
 from mv_slapse.codec.prior import MotionPrior
 from mv_slapse.codec.segments import Segment

@@ -5,8 +5,8 @@ its foot above all, hold two motions. There alone pixels are looked at.
 """
 
 from collections import deque
-from dataclasses import replace
 
+from mv_slapse.changed import replace
 from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.kernels.binding import compiled

@@ -5,9 +5,9 @@ than ``max_blocks`` is taken as the same picture on a smaller sensor: pixels are
 factor, and of the blocks in each macroblock of that sensor the most telling one stands for all.
 """
 
-from dataclasses import replace
 from functools import lru_cache
 
+from mv_slapse.changed import replace
 from mv_slapse.geometry.blocks import grid_centres, grid_shape, MACROBLOCK, macroblock_of
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.kernels.binding import compiled

@@ -1,10 +1,10 @@
 """Moving obstacles over time: one filter for each, (14)-(16) of [MVO]."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 import itertools
 
 from mv_slapse.blas import one_thread
+from mv_slapse.changed import replace
 from mv_slapse.config import ObstacleSettings
 from mv_slapse.geometry import two_view
 from mv_slapse.geometry.camera import to_rays

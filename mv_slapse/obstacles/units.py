@@ -4,8 +4,8 @@ All lengths change about the position that was published last, which stays: X' =
 unit (X - place) in {W}.
 """
 
-from dataclasses import replace
 
+from mv_slapse.changed import replace
 from mv_slapse.obstacles.view import plane_moved
 from mv_slapse.records import PlaneHandover, ScaleStatus, SceneEstimate
 import numpy as np

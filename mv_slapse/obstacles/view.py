@@ -1,8 +1,9 @@
 """What the obstacle filters know of the camera in one key frame, in map units."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
+from mv_slapse.changed import replace
 from mv_slapse.config import SceneSettings, USUAL_HEIGHT
 from mv_slapse.geometry.rotation import norm
 from mv_slapse.records import Extraction, MotionStatus, ScaleStatus, SceneEstimate

@@ -7,7 +7,7 @@ tells the length of its way, as with a height that is given.
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from mv_slapse.changed import replace
+from mv_slapse.changed import replace, unchecked
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
 from mv_slapse.geometry.rotation import norm
@@ -70,7 +70,8 @@ class Ride:
             return []
         if settings.camera_height:
             lasting[HEIGHT] = settings.camera_height_bias
-        return scene_observations.mounted(ground, replace(settings, camera_height=height), lasting)
+        return scene_observations.mounted(
+            ground, unchecked(settings, camera_height=height), lasting)
 
     def kept(self, state: SceneState, motion: CameraMotion) -> 'Ride':
         """Return it before an update by a pair, whose course may leave the ground."""
