@@ -552,6 +552,16 @@ class Judge {
   }
 };
 
+// Columns of the moving planes of regions, movers/moving_plane.py's Surfaces.
+struct MovingSurfaces {
+  MovingSurfaces(const char* kernel, const py::object& fit, py::ssize_t R)
+      : theta(kernel, "theta", fit.attr("theta"), {R, N}),
+        covariance(kernel, "covariance", fit.attr("covariance"), {R, N, N}),
+        centre(kernel, "centre", fit.attr("centre"), {R, 2}),
+        variance(kernel, "variance", fit.attr("variance"), {R}) {}
+  In<double> theta, covariance, centre, variance;
+};
+
 // Covariance of a region's rate with what its vectors err alike.
 Mat3 rate_covariance(const double* own, const double* rate, const double* centre,
                      const RegionOutlines& o, py::ssize_t r, const Judge& judge, const Mat3& K,
@@ -574,109 +584,99 @@ Mat3 rate_covariance(const double* own, const double* rate, const double* centre
   return C;
 }
 
-py::array_t<double> region_scores(const py::object& fit, const py::object& outlines,
-                                  const py::object& K_, const py::object& t_,
-                                  const py::object& seen, bool known_ground,
-                                  const py::object& constants) {
+// How little all that is still explains a region by its vectors of one pair, and that it follows the
+// ground or hovers over it: its score before it is bounded.
+double moves(py::ssize_t r, const MovingSurfaces& fit, const Judge& judge, const View& view,
+             bool known_ground) {
+  const RegionOutlines& o = judge.o;
+  const ScoreRules& c = judge.c;
+  const Vec3& t = view.t;
+  const Mat3& K = view.K;
+  const bool drives = t[0] != 0 || t[1] != 0 || t[2] != 0;
+  const double *own = fit.covariance.data() + r * N * N, *centre = fit.centre.data() + 2 * r;
+  const Vec3 rate{fit.theta(r, 0), fit.theta(r, 1), fit.theta(r, 2)};
+  const Mat3 W = inverse(rate_covariance(own, rate.data(), centre, o, r, judge, K, c));
+  const double information = std::max(dot(W * t, t), 1e-12);
+  const double apparent = dot(rate, W * t) / information;
+  const Vec3 error = rate - std::max(apparent, 0.0) * t;
+  double distance = dot(W * error, error) - 3;
+  // The apparent inverse depth at the foot.
+  const double drop = o.drop[r], under = o.under[r];
+  const Vec3 ray = view.inverse_K * Vec3{o.foot(r, 0), o.foot(r, 1), 1};
+  const double off[2] = {ray[0] - centre[0], ray[1] - centre[1]};
+  const double relative = 1 + (off[0] * fit.theta(r, 3) + off[1] * fit.theta(r, 4));
+  double tilt = 0;
+  for (int i = 0; i < 2; ++i)
+    for (int j = 0; j < 2; ++j) tilt += own[(3 + i) * N + 3 + j] * off[i] * off[j];
+  const double foot = apparent * std::min(std::max(relative, 0.5), 2.0);
+  const double sigma = std::hypot(1 / std::sqrt(information),
+                                  std::abs(apparent) * std::sqrt(std::max(tilt, 0.0)));
+  const bool stands = under > 0 && drives;
+  // A hedge along the road is no plane: its foot is nearer than the plane of the whole says.
+  // What is larger than a vehicle is a building, and the ground is not where it should be.
+  if (stands && judge.may_be_vehicle(r)) {
+    const double aside = std::abs(o.foot(r, 0) - K[2]) * K[4] / K[0];
+    const double share = std::sqrt((square(c.foot_sigma) + square(c.bank_sigma * aside)) /
+                                       square(std::max(drop, 1.0)) +
+                                   square(c.ground_sigma));
+    const double farthest = std::max(foot, o.rho[r]), near = std::max(farthest, 0.0);
+    const double lacking = std::max(under - farthest, 0.0) / std::hypot(sigma, share * under);
+    const double most = std::min(std::max(c.no_land - o.land[r], 0.0),
+                                 std::max(c.unseen + judge.ground_below(r, near / under), 0.0));
+    const double by_foot = square(lacking) - 1,
+                 by_rows = most > 0 ? judge.looks_farther(r, near) : 0;
+    // That a car ahead follows the lines of what stands still tells nothing of it.
+    const double lines = std::max(distance, 0.0);
+    if (by_foot > 0) distance += std::min(by_foot, most);
+    if (by_rows > 0) distance = std::max(distance, lines + std::min(by_rows, most));
+  }
+  const double at_foot = std::min(foot, o.rho[r]);
+  // The road's own wrong vectors are short: low or scattered, they are no vehicle.
+  if (std::isfinite(drop) && distance > 0) {
+    if (judge.height(r) < o.limit[2] * drop)
+      distance = std::min(distance, std::max(judge.body_above(r), 0.0));
+    if (o.filled[r] < c.least_filled) distance = std::min(distance, 0.0);
+  }
+  if (stands && known_ground && judge.may_hover(r) && at_foot >= c.least_ratio * under) {
+    const double hovers = judge.hovers(r, at_foot, sigma);
+    // An oncoming car follows the lines of what stands still: that it does tells nothing then.
+    distance = hovers + (hovers > 0 ? std::max(distance, 0.0) : distance);
+  }
+  // Nothing that a robot could meet ends above the horizon, higher than its camera: what a
+  // mover's score came to by mistake is taken back.
+  if (drop < c.least_drop) distance = c.back;
+  return distance;
+}
+
+py::tuple region_scores(const py::object& fit_, const py::object& outlines, const py::object& view_,
+                        const py::object& seen, bool known_ground, const py::tuple& told,
+                        const py::object& constants) {
   constexpr auto kernel = "region_scores";
   const Judge judge(kernel, outlines, seen, constants);
-  const RegionOutlines& o = judge.o;
   const ScoreRules& c = judge.c;
-  const auto R = o.low.size();
-  const In<double> theta(kernel, "theta", fit.attr("theta"), {R, N}),
-      covariance(kernel, "covariance", fit.attr("covariance"), {R, N, N}),
-      centres(kernel, "centre", fit.attr("centre"), {R, 2});
-  const Mat3 K = matrix(kernel, "K", K_), K_inverse = inverse(K);
-  const Vec3 t = vector(kernel, "t", t_);
-  const bool drives = t[0] != 0 || t[1] != 0 || t[2] != 0;
-  Out<double> scores({R});
+  const auto R = judge.o.low.size();
+  const MovingSurfaces fit(kernel, fit_, R);
+  const View view(kernel, view_);
+  require(told.size() == 2, kernel, "told are two");
+  const In<double> likelihood(kernel, "likelihood", told[0], {R}),
+      evidence(kernel, "evidence", told[1], {R});
+  Out<double> now({R}), gone({R}), lasting({R});
   for (py::ssize_t r = 0; r < R; ++r) {
-    const double *own = covariance.data() + r * N * N, *centre = centres.data() + 2 * r;
-    const Vec3 rate{theta(r, 0), theta(r, 1), theta(r, 2)};
-    const Mat3 W = inverse(rate_covariance(own, rate.data(), centre, o, r, judge, K, c));
-    const double information = std::max(dot(W * t, t), 1e-12);
-    const double apparent = dot(rate, W * t) / information;
-    const Vec3 error = rate - std::max(apparent, 0.0) * t;
-    double distance = dot(W * error, error) - 3;
-    // The apparent inverse depth at the foot.
-    const double drop = o.drop[r], under = o.under[r];
-    const Vec3 ray = K_inverse * Vec3{o.foot(r, 0), o.foot(r, 1), 1};
-    const double off[2] = {ray[0] - centre[0], ray[1] - centre[1]};
-    const double relative = 1 + (off[0] * theta(r, 3) + off[1] * theta(r, 4));
-    double tilt = 0;
-    for (int i = 0; i < 2; ++i)
-      for (int j = 0; j < 2; ++j) tilt += own[(3 + i) * N + 3 + j] * off[i] * off[j];
-    const double foot = apparent * std::min(std::max(relative, 0.5), 2.0);
-    const double sigma = std::hypot(1 / std::sqrt(information),
-                                    std::abs(apparent) * std::sqrt(std::max(tilt, 0.0)));
-    const bool stands = under > 0 && drives;
-    // A hedge along the road is no plane: its foot is nearer than the plane of the whole says.
-    // What is larger than a vehicle is a building, and the ground is not where it should be.
-    if (stands && judge.may_be_vehicle(r)) {
-      const double aside = std::abs(o.foot(r, 0) - K[2]) * K[4] / K[0];
-      const double share = std::sqrt((square(c.foot_sigma) + square(c.bank_sigma * aside)) /
-                                         square(std::max(drop, 1.0)) +
-                                     square(c.ground_sigma));
-      const double farthest = std::max(foot, o.rho[r]), near = std::max(farthest, 0.0);
-      const double lacking = std::max(under - farthest, 0.0) / std::hypot(sigma, share * under);
-      const double most = std::min(std::max(c.no_land - o.land[r], 0.0),
-                                   std::max(c.unseen + judge.ground_below(r, near / under), 0.0));
-      const double by_foot = square(lacking) - 1,
-                   by_rows = most > 0 ? judge.looks_farther(r, near) : 0;
-      // That a car ahead follows the lines of what stands still tells nothing of it.
-      const double lines = std::max(distance, 0.0);
-      if (by_foot > 0) distance += std::min(by_foot, most);
-      if (by_rows > 0) distance = std::max(distance, lines + std::min(by_rows, most));
-    }
-    const double at_foot = std::min(foot, o.rho[r]);
-    // The road's own wrong vectors are short: low or scattered, they are no vehicle.
-    if (std::isfinite(drop) && distance > 0) {
-      if (judge.height(r) < o.limit[2] * drop)
-        distance = std::min(distance, std::max(judge.body_above(r), 0.0));
-      if (o.filled[r] < c.least_filled) distance = std::min(distance, 0.0);
-    }
-    if (stands && known_ground && judge.may_hover(r) && at_foot >= c.least_ratio * under) {
-      const double hovers = judge.hovers(r, at_foot, sigma);
-      // An oncoming car follows the lines of what stands still: that it does tells nothing then.
-      distance = hovers + (hovers > 0 ? std::max(distance, 0.0) : distance);
-    }
-    // Nothing that a robot could meet ends above the horizon, higher than its camera: what a
-    // mover's score came to by mistake is taken back.
-    if (drop < c.least_drop) distance = c.back;
-    if (distance > 0) distance = std::min(distance, judge.credible(r));
-    scores[r] = std::min(std::max(distance, c.back), c.step);
-  }
-  return scores.array();
-}
-
-py::array_t<double> region_departures(const py::object& outlines, const py::object& likelihood_,
-                                      const py::object& seen, const py::object& constants) {
-  constexpr auto kernel = "region_departures";
-  const Judge judge(kernel, outlines, seen, constants);
-  const RegionOutlines& o = judge.o;
-  const ScoreRules& c = judge.c;
-  const In<double> likelihood(kernel, "likelihood", likelihood_, {o.low.size()});
-  Out<double> scores({o.low.size()});
-  for (py::ssize_t r = 0; r < o.low.size(); ++r) {
+    if (!std::isfinite(fit.variance[r])) continue;
     // Above the horizon nothing is known; nor does a building leave.
-    const bool able = judge.may_be_vehicle(r) && o.drop[r] >= c.least_drop;
-    double score = 2 * likelihood[r] / c.together;
-    if (able && score > 0) score = std::min(score, judge.credible(r));
-    scores[r] = able ? std::min(std::max(score, c.back), c.step) : c.back;
+    const bool able = judge.may_be_vehicle(r) && judge.o.drop[r] >= c.least_drop;
+    const double distance = moves(r, fit, judge, view, known_ground),
+                 left = able ? 2 * likelihood[r] / c.together : c.back;
+    const double most = std::max(distance, left) > 0 ? judge.credible(r) : 0;
+    const auto bounded = [&](double score) {
+      return std::min(std::max(std::min(score, most), c.back), c.step);
+    };
+    now[r] = bounded(distance);
+    gone[r] = bounded(left);
+    if (now[r] > 0 && evidence[r] > 0)
+      lasting[r] = std::min(c.bodies * evidence[r], c.copied * most);
   }
-  return scores.array();
-}
-
-py::array_t<double> region_evidence(const py::object& outlines, const py::object& evidence_,
-                                    const py::object& seen, const py::object& constants) {
-  constexpr auto kernel = "region_evidence";
-  const Judge judge(kernel, outlines, seen, constants);
-  const In<double> evidence(kernel, "evidence", evidence_, {judge.o.low.size()});
-  Out<double> scores({evidence.size()});
-  for (py::ssize_t r = 0; r < evidence.size(); ++r)
-    if (evidence[r] > 0)
-      scores[r] = std::min(judge.c.bodies * evidence[r], judge.c.copied * judge.credible(r));
-  return scores.array();
+  return py::make_tuple(now.array(), gone.array(), lasting.array());
 }
 
 }  // namespace
@@ -687,6 +687,4 @@ void bind_region_score(kernels::py::module_& module) {
   module.def("fit_moving_surfaces", fit_moving_surfaces);
   module.def("region_outlines", region_outlines);
   module.def("region_scores", region_scores);
-  module.def("region_departures", region_departures);
-  module.def("region_evidence", region_evidence);
 }

@@ -18,7 +18,7 @@ from mv_slapse.movers.identity import FADING, ids_of, Judged, Memory
 from mv_slapse.movers.moving_plane import fit_surfaces, Regions, settled, Surfaces, View
 from mv_slapse.movers.outlines import NOT_KNOWN, outlines
 from mv_slapse.movers.outlines import RULES as OUTLINE
-from mv_slapse.movers.score import departures, lasting, scores
+from mv_slapse.movers.score import scores
 from mv_slapse.records import Extraction, Label, PlaneObservation
 import numpy as np
 
@@ -212,20 +212,13 @@ def _fitted(alike, view, ground) -> Surfaces:
 
 
 def _scored(alike, fit, view, ground, evidence):
-    """Return scores (R,) of each region: that it moves, and that it has left where it stood.
-
-    Both by this pair, 0 where no plane fits; then that it moves, by the ``evidence`` of several
-    pairs, where this one agrees.
-    """
+    """Return the scores (R,) of each region: by this pair, that it has left, by several pairs."""
     outline = outlines(alike, view.K, ground.plane,
                        ground.level if ground.plane is None else ground.plane,
                        ground.camera_height)
     likelihood = compiled.departed(alike.departure, alike.rho, alike.under, alike.members,
                                    alike.first, RULES)
-    fits = np.isfinite(fit.variance)
-    now = np.where(fits, scores(fit, outline, view.K, view.t, alike, ground.nearer), 0.0)
-    return (now, np.where(fits, departures(outline, likelihood, alike), 0.0),
-            np.where(now > 0, lasting(outline, evidence, alike), 0.0))
+    return scores(fit, outline, view, alike, ground.nearer, (likelihood, evidence))
 
 
 def _moves(alike, told, threshold, ground):

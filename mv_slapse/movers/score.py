@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.kernels.binding import compiled
-from mv_slapse.movers.moving_plane import Surfaces
+from mv_slapse.movers.moving_plane import Surfaces, View
 from mv_slapse.movers.outlines import Outlines
 import numpy as np
 
@@ -59,28 +59,15 @@ class Rules(NamedTuple):
 RULES = Rules()
 
 
-def scores(fit: Surfaces, outline: Outlines, K: np.ndarray, t: np.ndarray, seen,
-           nearer: float = 1.0) -> np.ndarray:
-    """Return squared distances (R,) of regions from all that is still, less what noise gives.
+def scores(fit: Surfaces, outline: Outlines, view: View, seen, nearer: float,
+           told: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return three scores (R,) of regions: they move, they have left, they are bodies that move.
 
-    ``t`` (3,) is the camera's translation, the unit of length; ``seen`` are all blocks, in regions
-    or not. The ground may be ``nearer`` by a factor; if so nothing is known to hover over it.
+    The first is the squared distance from all that is still, less what noise gives; ``seen`` are
+    all blocks, in regions or not. The ground may be ``nearer`` by a factor; if so nothing is known
+    to hover over it. ``told`` has log-likelihoods (R,) that regions have left where they stood, as
+    of movers.reference_depth.departure, and the evidence (R,) of several pairs that they are
+    bodies, as of movers.body, which counts where this pair says so, too. No score is more than the
+    vectors deserve; where no plane fits all are 0.
     """
-    return compiled.region_scores(fit, outline, K, t, seen, nearer == 1, RULES)
-
-
-def departures(outline: Outlines, likelihood: np.ndarray, seen) -> np.ndarray:
-    """Return how much rather regions (R,) have left where they stood than not, as chi-square.
-
-    ``likelihood`` (R,) sums those of their blocks, as of movers.reference_depth.departure;
-    ``seen`` are all blocks, in regions or not.
-    """
-    return compiled.region_departures(outline, likelihood, seen, RULES)
-
-
-def lasting(outline: Outlines, evidence: np.ndarray, seen) -> np.ndarray:
-    """Return the score (R,) of ``evidence`` (R,) of several pairs, as of movers.body.
-
-    It is no more than the vectors of a region deserve.
-    """
-    return compiled.region_evidence(outline, evidence, seen, RULES)
+    return compiled.region_scores(fit, outline, view, seen, nearer == 1, told, RULES)

@@ -146,10 +146,14 @@ def test_regions_are_scored_as_by_the_formula(scene):
     known = regions.KnownGround(ground, np.array([0.0, -1.0, 0.0]))
     fit = regions._fitted(alike, view, known)
     outline = outlines.outlines(alike, view.K, ground, known.level, 1.65)
-    own = score.scores(fit, outline, view.K, view.t, alike)
+    told = np.zeros((2, len(alike.first)))
+    own, left, lasts = score.scores(fit, outline, view, alike, 1.0, tuple(told))
     assert np.any(own > 5)
     np.testing.assert_allclose(
-        own, reference.scores(fit, outline, view.K, view.t, alike, 1.0, score.RULES), atol=1e-7)
+        own, np.where(np.isfinite(fit.variance), reference.scores(
+            fit, outline, view.K, view.t, alike, 1.0, score.RULES), 0.0), atol=1e-7)
+    assert np.all(left <= 0)
+    assert not lasts.any()
 
 
 def test_moving_regions_grow_as_by_the_formula(scene, rng):

@@ -7,7 +7,7 @@ from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.movers import score as region_scores
 from mv_slapse.movers.moving_plane import fit_surfaces, Regions, View
 from mv_slapse.movers.outlines import outlines
-from mv_slapse.movers.score import departures, RULES, scores
+from mv_slapse.movers.score import RULES, scores
 import numpy as np
 import pytest
 
@@ -18,6 +18,8 @@ GROUND = np.array([0.0, -1.0, 0.0]) / HEIGHT
 GRID = np.stack(np.meshgrid(np.arange(7.5, 1200, 16), np.arange(7.5, 370, 16)), -1).reshape(-1, 2)
 FIRST_ROW = 180.0
 STEP, BACK = RULES.step, RULES.back
+AHEAD = View(K, np.eye(3), T)
+NOTHING_TOLD = (np.zeros(1), np.zeros(1))
 
 
 class Seen(NamedTuple):
@@ -94,7 +96,7 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     seen = Seen(*map(np.concatenate, zip(*parts, strict=True)))
     copies = np.random.default_rng(1).uniform(size=len(seen.x)) < copied
     seen = seen._replace(copied=copies)
-    return scores(fit, outline, K, t, seen, nearer)[0]
+    return scores(fit, outline, View(K, np.eye(3), t), seen, nearer, NOTHING_TOLD)[0][0]
 
 
 def seen_as(x, rho, under):
@@ -261,4 +263,26 @@ def test_what_has_left_scores_by_its_blocks_and_is_no_building(high, likelihood,
     blocks = Blocks(x, x, np.zeros(x.shape), np.full(len(x), 1 / 12), np.full(len(x), 1 / 120))
     outline = outlines(blocks, K, GROUND, np.array([0.0, -1.0, 0.0]), camera_height)
     seen = seen_as(x, blocks.rho, np.zeros(len(x)))._replace(noise=0.1 * blocks.rho)
-    assert departures(outline, np.array([likelihood]), seen)[0] == pytest.approx(expected)
+    fit = fit_surfaces(Regions(x, x, np.full(len(x), 0.3), np.zeros(1, int)), AHEAD, GROUND)
+    _, left, _ = scores(fit, outline, AHEAD, seen, 1.0, (np.array([likelihood]), np.zeros(1)))
+    assert left[0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(('evidence', 'motion', 'expected'), [
+    (10.0, (0.5, 0, 0), 10 * RULES.bodies), (10.0, (0, 0, 0), 0.0),
+    (-1.0, (0.5, 0, 0), 0.0), (1e6, (0.5, 0, 0), None)],
+    ids=['seen', 'this pair says no', 'nothing told', 'more than vectors deserve'])
+def test_what_several_pairs_tell_counts_where_this_pair_agrees(evidence, motion, expected):
+    x = GRID[np.all(np.abs(to_rays(K, GRID)[:, :2] * 12 - (0, HEIGHT - 1)) < 1, axis=1)]
+    X = to_rays(K, x) * 12
+    x_prev = to_pixels(K, X - np.array(motion) - T)
+    blocks = Blocks(x, x, np.zeros(x.shape), np.full(len(x), 1 / 12), np.full(len(x), 1 / 120))
+    outline = outlines(blocks, K, GROUND, np.array([0.0, -1.0, 0.0]), HEIGHT)
+    fit = fit_surfaces(Regions(x, x_prev, np.full(len(x), 0.3), np.zeros(1, int)), AHEAD, GROUND)
+    seen = seen_as(x, blocks.rho, np.zeros(len(x)))
+    now, _, lasts = scores(fit, outline, AHEAD, seen, 1.0, (np.zeros(1), np.array([evidence])))
+    if expected is None:
+        assert STEP < lasts[0] < evidence * RULES.bodies
+    else:
+        assert lasts[0] == pytest.approx(expected)
+        assert (now[0] > 0) == any(motion)
