@@ -134,11 +134,11 @@ def _as_expected(group, expected):
     x, y, width, height = places[0]
     room = np.array([x - MARGIN * width, y - MARGIN * height, width + 2 * MARGIN * width,
                      height + 2 * MARGIN * height])
-    return all(_covers(room, d.box) for d in group if d.id not in expected)
+    return all(covers(room, d.box) for d in group if d.id not in expected)
 
 
-def _covers(box, part):
-    """Whether a box holds most of another."""
+def covers(box, part):
+    """Return whether a box (4,) holds most of another."""
     left, top, right, bottom = _edges(box)
     first, highest, last, lowest = _edges(part)
     held = (max(min(right, last) - max(left, first), 0.0)
@@ -160,7 +160,7 @@ def is_part(whole: tuple[np.ndarray, np.ndarray], whole_box: np.ndarray,
 
     ``whole`` and ``part`` are states (8,) with their covariances (8, 8).
     """
-    return _covers(whole_box, part_box) and _share_motion(whole, part, SIMILAR_RATIO, gate)
+    return covers(whole_box, part_box) and _share_motion(whole, part, SIMILAR_RATIO, gate)
 
 
 def _touch(a, b):

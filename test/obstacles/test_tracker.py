@@ -195,6 +195,23 @@ def test_two_cars_side_by_side_with_other_speeds_are_two(rng):
     assert [o.id for o in usable(run(drive, rng, 1.0)[-1][1])] == [1, 2]
 
 
+def test_a_region_over_two_obstacles_tells_nothing_of_either(rng):
+    """Buses side by side go at one speed for a while: then one region holds them both."""
+    apart = Drive((Mover(1, (-2.1, 14), (0, 11)), Mover(2, (2.1, 14), (0, 10))))
+    joined = Drive((Mover(1, (0, 14), (0, 10.5), size=(6, 1.5)),))
+    tracker, ids = ObstacleTracker(SETTINGS), []
+    for i in range(20):
+        drive, now = joined if i in (10, 11) else apart, (i + 1) * DT
+        obstacles, _ = tracker.step(drive.extraction(i * DT, now, rng),
+                                    drive.scene(i * DT, now, rng))
+        found = sorted(usable(obstacles), key=lambda o: o.position[0])
+        if i > 8:
+            ids.append([o.id for o in found])
+            for obstacle, mover in zip(found, apart.movers, strict=True):
+                assert np.linalg.norm(obstacle.position - mover.centre(now)) < 1.0
+    assert all(now == ids[0] for now in ids)
+
+
 @pytest.mark.parametrize(('road', 'ids'), [(True, [1, 2]), (False, [1])])
 def test_cars_behind_each_other_are_two_where_the_road_shows_below_the_farther(rng, road, ids):
     drive = Drive((Mover(1, (0, 10), (0, 10)), Mover(2, (2.6, 22), (0, 10))))
