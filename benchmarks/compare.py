@@ -20,11 +20,11 @@ from typing import Any
 
 import compare_page
 import departures
+from mv_slapse import quaternion
 from mv_slapse.config import Settings
 from mv_slapse.errors import MvSlapseError
 from mv_slapse.evaluation import consistency, detection, planes, tracking, trajectory
 from mv_slapse.evaluation.truth import LabelTable, read_arrays, read_truth, Truth
-from mv_slapse.geometry import quaternion
 from mv_slapse.records import Label
 from mv_slapse.storage.tum import Trajectory
 from mv_slapse.tools import cases

@@ -3,7 +3,7 @@
 from typing import Any
 
 from mv_slapse import message_checks as check
-from mv_slapse.geometry.quaternion import from_matrix
+from mv_slapse.quaternion import from_matrix
 from mv_slapse.records import Correspondences, Extraction, Label, SegmentKind
 import numpy as np
 

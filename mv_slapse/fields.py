@@ -32,7 +32,7 @@ from mv_slapse.field_values import (
     stamp_to_fields,
 )
 from mv_slapse.geometry.camera import Camera
-from mv_slapse.geometry.quaternion import to_matrix
+from mv_slapse.quaternion import to_matrix
 from mv_slapse.records import (
     CameraMotion,
     Correspondences,

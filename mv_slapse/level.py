@@ -13,7 +13,7 @@ from mv_slapse import fields
 from mv_slapse import message_checks as check
 from mv_slapse.field_values import read_xyz
 from mv_slapse.geometry import rotation
-from mv_slapse.geometry.quaternion import to_matrix
+from mv_slapse.quaternion import to_matrix
 from mv_slapse.records import MapPlane
 from mv_slapse.ros_frames import RosFrames
 import numpy as np

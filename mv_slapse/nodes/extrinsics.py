@@ -4,11 +4,11 @@ from importlib import import_module
 import time
 
 from mv_slapse.field_values import read_xyz
-from mv_slapse.geometry.quaternion import to_matrix
 from mv_slapse.message_checks import quaternion
 from mv_slapse.nodes.qos import subscribe
 from mv_slapse.nodes.settings import FrameSettings
 from mv_slapse.nodes.shell import Shell
+from mv_slapse.quaternion import to_matrix
 from mv_slapse.ros_frames import R_BODY_FROM_OPTICAL, RosFrames
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile

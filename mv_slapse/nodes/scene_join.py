@@ -103,7 +103,7 @@ class SceneMemory:
 
     def _baseline(self, scene: SceneEstimate, previous_stamp: int) -> float:
         """Return the distance to the pose before, by the velocity where that is not known."""
-        last = self.last and units.in_unit_of(self.last, scene)
+        last = self.last and _in_unit_of(self.last, scene)
         if last is not None and last.stamp == previous_stamp:
             return float(np.linalg.norm(scene.t_world_from_cam - last.t_world_from_cam))
         dt = (scene.stamp - previous_stamp) / 1e9
@@ -114,7 +114,7 @@ def continues(before: SceneEstimate | None, scene: SceneEstimate) -> bool:
     """Return whether a pose follows from the one before; it does not where slam began anew."""
     if before is None:
         return True
-    before = units.in_unit_of(before, scene)
+    before = _in_unit_of(before, scene)
     if before is None:
         return False
     dt = (scene.stamp - before.stamp) / 1e9
@@ -122,3 +122,9 @@ def continues(before: SceneEstimate | None, scene: SceneEstimate) -> bool:
     variance = sum(np.trace(s.pose_covariance[:3, :3]) for s in (before, scene))
     moved = np.linalg.norm(scene.t_world_from_cam - before.t_world_from_cam)
     return bool(moved <= 3 * speed * dt + 5 * np.sqrt(variance))
+
+
+def _in_unit_of(before: SceneEstimate, now: SceneEstimate) -> SceneEstimate | None:
+    """Return the scene that was published last in the unit of the one now; None: another map."""
+    unit = units.last_unit(before, now)
+    return None if unit is None else units.scene_in_unit(before, unit, before.t_world_from_cam)

@@ -4,7 +4,6 @@ All lengths change about the position that was published last, which stays: X' =
 unit (X - place) in {W}.
 """
 
-
 from mv_slapse.changed import replace
 from mv_slapse.obstacles.view import plane_moved
 from mv_slapse.records import PlaneHandover, ScaleStatus, SceneEstimate
@@ -19,12 +18,6 @@ def last_unit(before: SceneEstimate, now: SceneEstimate) -> float | None:
     if before.scale_status is ScaleStatus.METRIC and now.scale_status is not ScaleStatus.METRIC:
         return None
     return now.unit / before.unit
-
-
-def in_unit_of(before: SceneEstimate, now: SceneEstimate) -> SceneEstimate | None:
-    """Return the scene that was published last in the unit of the one now; None: another map."""
-    unit = last_unit(before, now)
-    return None if unit is None else scene_in_unit(before, unit, before.t_world_from_cam)
 
 
 def scene_in_unit(scene: SceneEstimate, unit: float, place: np.ndarray) -> SceneEstimate:

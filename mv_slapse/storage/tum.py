@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 
+from mv_slapse import quaternion
 from mv_slapse.errors import UnusableInput
-from mv_slapse.geometry import quaternion
 from mv_slapse.records import SceneEstimate, WITH_POSE
 from mv_slapse.ros_frames import ORIGIN, Pose
 from mv_slapse.storage import whole_files

@@ -1,4 +1,4 @@
-from mv_slapse.geometry import quaternion
+from mv_slapse import quaternion
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
