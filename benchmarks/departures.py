@@ -18,9 +18,10 @@ from mv_slapse.codec.merging import existence, merge
 from mv_slapse.codec.segments import SegmentBuilder
 from mv_slapse.config import DecoderSettings, ExtractionSettings, Settings
 from mv_slapse.evaluation import trajectory
+from mv_slapse.evaluation.detection import grid_index
 from mv_slapse.extraction.extractor import PlaneExtractor
 from mv_slapse.geometry import rotation
-from mv_slapse.geometry.blocks import grid_centres, grid_index
+from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.two_view import Pair
 from mv_slapse.motion.estimate import from_essential_matrix, refined_from

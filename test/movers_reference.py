@@ -3,8 +3,9 @@
 from types import SimpleNamespace
 
 import formulas
+from mv_slapse.evaluation.detection import grid_index
 from mv_slapse.geometry import blocks, two_view
-from mv_slapse.geometry.blocks import grid_index, grid_shape
+from mv_slapse.geometry.blocks import grid_shape
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.movers.moving_plane import homography
 import numpy as np
@@ -316,15 +317,11 @@ def looks_farther(i, near, o, seen, c):
     def told(near, low, high):
         at = ((seen.x[:, 0] > low) & (seen.x[:, 0] < high) & (seen.under > near)
               & (seen.x[:, 1] < o.foot[i, 1]))
-        under = seen.under[at]
-
-        def rather(rho, noise):
-            sigma = np.hypot(noise, c.ground_sigma * under)
-            return (np.log(np.exp(-0.5 * (np.maximum(rho - near, 0) / sigma)**2) + c.outlier)
-                    - np.log(np.exp(-0.5 * (np.maximum(under - rho, 0) / sigma)**2) + c.outlier))
-        foreseen = rather(*seen.foreseen[at].T)
-        return 2 * np.sum(rather(seen.rho[at], seen.noise[at]) + np.minimum(foreseen, 0)
-                          ) / c.dependence
+        under, rho = seen.under[at], seen.rho[at]
+        sigma = np.hypot(seen.noise[at], c.ground_sigma * under)
+        farther, ground = (np.exp(-0.5 * (np.maximum(off, 0) / sigma)**2) + c.outlier
+                           for off in (rho - near, under - rho))
+        return 2 * np.sum(np.log(farther) - np.log(ground)) / c.dependence
     low = max(near, 0.5 * o.under[i])
     sides = max(told(low, left - c.around, left), told(low, right, right + c.around))
     return min(told(near, left, right), max(c.unseen - sides, 0))

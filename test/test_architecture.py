@@ -29,6 +29,7 @@ BELOW = {
     'errors': set(),
     'changed': set(),
     'heap': set(),
+    'quaternion': set(),
     'records': set(),
     'config': {'errors'},
     'kernels': {'errors'},
@@ -38,7 +39,7 @@ BELOW = {
     'ros_frames': {'geometry'},
     'frame_change': {*LOW, 'ros_frames'},
     'known_map': {*LOW, 'ros_frames'},
-    'level': {*LOW, 'fields', 'field_values', 'message_checks', 'ros_frames'},
+    'level': {*LOW, 'fields', 'field_values', 'message_checks', 'quaternion', 'ros_frames'},
     'codec': LOW,
     'motion': LOW,
     'surfaces': {*LOW, 'motion'},
@@ -53,12 +54,13 @@ BELOW = {
     'states': set(),
     'step_diagnostics': {*LOW, 'field_values', 'states'},
     'storage': {*LOW, 'calibration', 'codec', 'fields', 'known_map', 'level', 'picture_size',
-                'plane_messages', 'planner_fields', 'ros_frames', 'step_diagnostics',
-                'video_messages', 'view_fields'},
+                'plane_messages', 'planner_fields', 'quaternion', 'ros_frames',
+                'step_diagnostics', 'video_messages', 'view_fields'},
     'nodes': {*LOW, *ROOMS, 'pipeline', 'storage', 'calibration', 'drawing', 'fields',
               'field_values',
               'frame_change', 'heap', 'known_map', 'level', 'message_checks', 'plane_messages',
-              'planner_fields', 'ros_frames', 'states', 'video_messages', 'view_fields'},
+              'planner_fields', 'quaternion', 'ros_frames', 'states', 'video_messages',
+              'view_fields'},
 }
 
 

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from mv_slapse.config import DecoderSettings, Settings
+from mv_slapse.evaluation.detection import grid_index
 from mv_slapse.evaluation.truth import LabelTable
-from mv_slapse.geometry.blocks import grid_centres, grid_index
+from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.geometry.camera import Camera, to_pixels, to_rays, undistort
 from mv_slapse.records import Correspondences, Label
 import numpy as np

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 from mv_slapse.evaluation.trajectory import associate
 from mv_slapse.evaluation.truth import LabelTable, on_common_blocks
-from mv_slapse.geometry.blocks import MACROBLOCK, macroblock_of
+from mv_slapse.geometry.blocks import grid_shape, MACROBLOCK, macroblock_of
 from mv_slapse.records import Label
 import numpy as np
 
@@ -173,15 +173,22 @@ def _found(votes: dict[int, list[tuple[float, float]]]) -> dict[str, Any]:
             'movers_missed': sorted(int(mover) for mover in set(large) - set(found))}
 
 
+def grid_index(x: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return the number (N,) int of the macroblock that holds each pixel (N, 2), row by row.
+
+    -1 outside the picture.
+    """
+    columns, rows = grid_shape(width, height)
+    column, row = macroblock_of(x).T
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    return np.where(inside, row * columns + column, -1)
+
+
 def _labels_at(labels: LabelTable, k: int, x: np.ndarray) -> np.ndarray:
     """Return the label (N,) of the macroblock at each pixel (N, 2) in key frame k."""
-    columns = int(labels.x.max() // MACROBLOCK) + 1 if len(labels.x) else 0
-    grid = labels.label[k].reshape(-1, max(columns, 1))
-    column, row = macroblock_of(np.nan_to_num(x, nan=-1e6)).T
-    inside = (column >= 0) & (column < grid.shape[1]) & (row >= 0) & (row < grid.shape[0])
-    result = np.full(len(x), int(Label.UNKNOWN))
-    result[inside] = grid[row[inside], column[inside]]
-    return result
+    width, height = labels.x.max(initial=-1) + 1, labels.y.max(initial=-1) + 1
+    at = grid_index(np.nan_to_num(x, nan=-1e6), int(width), int(height))
+    return np.append(labels.label[k], int(Label.UNKNOWN))[at]
 
 
 def _meets(found: np.ndarray, truth: np.ndarray) -> bool:

@@ -109,10 +109,8 @@ class PlaneExtractor:
         blank, evidence = status.only(whole, rows), seen[rows]
         pair = evidence.pair
         told = Told(known[rows], length, ratio)
-        found = self._named(Found(
-            fit, evidence, self._planes(blank, Found(fit, evidence, []), told, floor,
-                                        (left[rows], road[rows])),
-            foreseen=self._map(whole).foreseen(pair, told.known, fit, length)))
+        found = self._named(Found(fit, evidence, self._planes(
+            blank, Found(fit, evidence, []), told, floor, (left[rows], road[rows]))))
         found = self._moving(blank, pair, found, floor, ratio)
         found = self._refined(pair, found, floor)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
@@ -279,10 +277,9 @@ class PlaneExtractor:
                         sigma=pair.sigma.astype(np.float32))
         level = before = None
         if rides:
-            level, before = prior.normal, regions.Before(departure(
+            level, before = prior.normal, departure(
                 self._memory.past_at(blank, fit, ratio), blank,
-                depths_of(pair, blank, found.evidence, found.evidence.has_depth), floor),
-                found.foreseen)
+                depths_of(pair, blank, found.evidence, found.evidence.has_depth), floor)
         known = regions.KnownGround(floor if rides else None, level, nearer, self._camera_height,
                                     id_)
         shown, self._movers = regions.with_moving_planes(

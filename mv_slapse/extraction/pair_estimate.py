@@ -14,7 +14,7 @@ import numpy as np
 class Found:
     """What a key frame pair shows: motion, evidence of its blocks, planes, moving planes.
 
-    ``doubtful`` blocks (N,) bool may belong to these; ``foreseen`` as of movers.regions.Before.
+    ``doubtful`` blocks (N,) bool may belong to these.
     """
 
     fit: MotionFit
@@ -22,7 +22,6 @@ class Found:
     planes: list[PlaneFit]
     moving: Extraction | None = None
     doubtful: np.ndarray | None = None
-    foreseen: np.ndarray | None = None
 
 
 def labels(found: Found):

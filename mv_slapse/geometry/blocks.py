@@ -19,17 +19,6 @@ def grid_shape(width: int, height: int) -> tuple[int, int]:
     return -(-width // MACROBLOCK), -(-height // MACROBLOCK)
 
 
-def grid_index(x: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Return the number (N,) int of the macroblock that holds each pixel (N, 2), row by row.
-
-    -1 outside the picture.
-    """
-    columns, rows = grid_shape(width, height)
-    column, row = macroblock_of(x).T
-    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    return np.where(inside, row * columns + column, -1)
-
-
 def grid_centres(width: int, height: int) -> np.ndarray:
     """Return the centres (M, 2) of the macroblocks [px], row by row."""
     columns, rows = grid_shape(width, height)

@@ -344,8 +344,7 @@ struct SeenBlocks {
         rho(kernel, "rho", seen.attr("rho"), {x.size()}),
         sigma(kernel, "noise", seen.attr("noise"), {x.size()}),
         under(kernel, "under", seen.attr("under"), {x.size()}),
-        copied(kernel, "copied", seen.attr("copied"), {x.size()}),
-        foreseen(kernel, "foreseen", seen.attr("foreseen"), {x.size(), 2}) {
+        copied(kernel, "copied", seen.attr("copied"), {x.size()}) {
     for (py::ssize_t i = 0; i < x.size(); ++i) {
       share_copied += copied[i];
       first = std::min(first, x(i, 0));
@@ -355,7 +354,6 @@ struct SeenBlocks {
   }
   In<double> x, rho, sigma, under;
   In<bool> copied;
-  In<double> foreseen;
   double share_copied = 0, first = INFINITE, last = -INFINITE;
 };
 
@@ -481,7 +479,6 @@ class Judge {
 
   // How much rather blocks from one column to another look as far as `near` or farther than as near
   // as the ground or nearer, as chi-square: those above the foot of a region that would hide them.
-  // What the pairs before foresaw has told its part: it only speaks against a vector that is new.
   double looks_farther(py::ssize_t r, double near, double from, double to) const {
     double evidence = 0;
     for (py::ssize_t i = 0; i < seen.x.size(); ++i) {
@@ -489,13 +486,9 @@ class Judge {
       if (!(seen.x(i, 0) > from) || !(seen.x(i, 0) < to) || !(under > near) ||
           !(seen.x(i, 1) < o.foot(r, 1)))
         continue;
-      const auto told = [&](double rho, double noise) {
-        const double sigma = std::hypot(noise, c.ground_sigma * under);
-        return std::log(normal(std::max(rho - near, 0.0) / sigma) + c.outlier) -
-               std::log(normal(std::max(under - rho, 0.0) / sigma) + c.outlier);
-      };
-      evidence += told(seen.rho[i], seen.sigma[i]) +
-                  std::min(told(seen.foreseen(i, 0), seen.foreseen(i, 1)), 0.0);
+      const double rho = seen.rho[i], sigma = std::hypot(seen.sigma[i], c.ground_sigma * under);
+      evidence += std::log(normal(std::max(rho - near, 0.0) / sigma) + c.outlier) -
+                  std::log(normal(std::max(under - rho, 0.0) / sigma) + c.outlier);
     }
     return 2 * evidence / c.dependence;
   }

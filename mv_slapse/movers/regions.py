@@ -65,19 +65,6 @@ class KnownGround(NamedTuple):
     id: int = -1  # of its plane, -1: none
 
 
-class Before(NamedTuple):
-    """What the pairs before tell of the blocks (N,) of a pair if they stand still."""
-
-    departure: np.ndarray  # log-likelihoods, as of movers.reference_depth.departure
-    # (N, 2): inverse depth and standard deviation [1/baseline], infinite where it is unknown
-    foreseen: np.ndarray
-
-    @classmethod
-    def unknown(cls, n: int) -> 'Before':
-        """Return what nothing tells of n blocks."""
-        return cls(np.zeros(n), np.tile((0.0, np.inf), (n, 1)))
-
-
 class _Pair(NamedTuple):
     """Columns of the blocks (N,) of a pair."""
 
@@ -85,8 +72,7 @@ class _Pair(NamedTuple):
     x_prev: np.ndarray  # (N, 2): their matches [px]
     block: np.ndarray  # (N, 2): sizes [px]
     sigma: np.ndarray  # (N,): of the vectors [px]
-    departure: np.ndarray  # (N,) and
-    foreseen: np.ndarray  # (N, 2): as of Before
+    departure: np.ndarray  # (N,): log-likelihoods, as of movers.reference_depth.departure
     plane_id: np.ndarray  # (N,) int32
     wrong: np.ndarray  # (N,) bool: nothing still explains the vector
 
@@ -99,7 +85,6 @@ class _Alike(NamedTuple):
     block: np.ndarray
     sigma: np.ndarray
     departure: np.ndarray
-    foreseen: np.ndarray
     plane_id: np.ndarray
     wrong: np.ndarray
     parallax: np.ndarray  # (N, 2) [px]
@@ -142,17 +127,17 @@ class _Scores(NamedTuple):
 
 
 def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
-                       ground: KnownGround, before: Before | None = None
+                       ground: KnownGround, departure: np.ndarray | None = None
                        ) -> tuple[Extraction, Memory]:
     """Add the moving planes of a pair to what was found stationary in it.
 
     The extraction has motion, labels, and the ids of stationary planes; ``memory`` is what the
-    last call returned. From the score ``threshold`` on, chi-square beyond its mean, a region is
-    called moving: its blocks are labelled MOVING with the plane's id. Returns extraction and
-    memory.
+    last call returned, ``departure`` (N,) is as of movers.reference_depth, None: nothing is known.
+    From the score ``threshold`` on, chi-square beyond its mean, a region is called moving: its
+    blocks are labelled MOVING with the plane's id. Returns extraction and memory.
     """
-    before = before or Before.unknown(len(extraction.x_cur))
-    pair = _pair(extraction, before)
+    departure = np.zeros(len(extraction.x_cur)) if departure is None else departure
+    pair = _pair(extraction, departure)
     motion = extraction.motion
     view = View(extraction.K, np.ascontiguousarray(motion.R_cur_from_prev, float),
                 np.ascontiguousarray(motion.t_cur_from_prev, float))
@@ -176,11 +161,11 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     return found, replace(memory.after(extraction, judged, next_id), bodies=bodies)
 
 
-def _pair(extraction, before):
+def _pair(extraction, departure):
     """Return the blocks of a pair as the kernels take them."""
     x, x_prev, block, sigma = (np.ascontiguousarray(values, float) for values in (
         extraction.x_cur, extraction.x_prev, extraction.block, extraction.sigma))
-    return _Pair(x, x_prev, block, sigma, *before,
+    return _Pair(x, x_prev, block, sigma, departure,
                  np.ascontiguousarray(extraction.plane_id, np.int32),
                  extraction.label == Label.UNKNOWN.value)
 

@@ -94,22 +94,6 @@ class BlockMap:
         """
         return compiled.map_at(self.points, pair.x_prev, pair.K, np.array(size, np.int64), POLICY)
 
-    def foreseen(self, pair: two_view.Pair, known: np.ndarray, fit: MotionFit,
-                 length: float) -> np.ndarray:
-        """Return what a pair's blocks must show in camera k if they stand still (N, 2).
-
-        Inverse depth and its standard deviation [1/baseline], infinite where it is unknown; the
-        baseline has a length [map unit].
-        """
-        with np.errstate(divide='ignore', invalid='ignore'):
-            # Depth in camera k over that in camera k-1.
-            before = length * known[:, 0]
-            ratio = pair.rays_prev @ fit.R_cur_from_prev[2] + before * fit.t_cur_from_prev[2]
-            sigma = length * np.sqrt(known[:, 1]) / ratio**2
-            told = np.isfinite(sigma) & (ratio > 0)
-            return np.stack((np.where(told, before / ratio, 0.0),
-                             np.where(told, sigma, np.inf)), axis=1)
-
     def measured(self, pair: two_view.Pair, known: np.ndarray, fit: MotionFit, stamp: int):
         """Return the motion of a pair up to a stamp [ns], its length, its ratio to the last one.
 

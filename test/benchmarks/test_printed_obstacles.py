@@ -4,8 +4,8 @@ from functools import partial
 
 from compare import as_trajectory
 from mv_slapse.evaluation import trajectory
+from mv_slapse.evaluation.detection import grid_index
 from mv_slapse.geometry import plane
-from mv_slapse.geometry.blocks import grid_index
 from mv_slapse.geometry.camera import to_pixels, to_rays
 from mv_slapse.simulation import drawn
 from mv_slapse.simulation.street import Street, StreetSettings

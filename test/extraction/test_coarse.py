@@ -6,9 +6,10 @@ import math
 from canyon import angle_between, motion, turn_between, views
 from canyon import K as K_VGA
 from mv_slapse.config import ExtractionSettings
+from mv_slapse.evaluation.detection import grid_index
 from mv_slapse.extraction import coarse
 from mv_slapse.extraction.extractor import PlaneExtractor
-from mv_slapse.geometry.blocks import grid_centres, grid_index
+from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.geometry.camera import Camera, to_pixels
 from mv_slapse.records import Correspondences, Label, MotionStatus, SegmentKind
 import numpy as np

@@ -1,4 +1,5 @@
-from mv_slapse.geometry.blocks import grid_centres, grid_index, grid_shape
+from mv_slapse.evaluation.detection import grid_index
+from mv_slapse.geometry.blocks import grid_centres, grid_shape
 import numpy as np
 
 

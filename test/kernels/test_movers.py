@@ -2,7 +2,8 @@
 
 import bodies_reference
 import movers_reference as reference
-from mv_slapse.geometry.blocks import grid_centres, grid_index, grid_shape
+from mv_slapse.evaluation.detection import grid_index
+from mv_slapse.geometry.blocks import grid_centres, grid_shape
 from mv_slapse.geometry.camera import to_rays, UP
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.motion.observations import Depths
@@ -20,13 +21,6 @@ import pytest
 SIZE = 640, 480
 
 
-def foreseen(rng, n):
-    """Return inverse depths of n blocks and their errors, of some unknown."""
-    unknown = rng.uniform(size=n) < 0.2
-    return np.where(unknown[:, None], (0.0, np.inf),
-                    np.c_[rng.uniform(0, 0.3, n), rng.uniform(0.01, 0.1, n)])
-
-
 def drawn_pair(rng, stands=False):
     """Return the blocks of a street with movers, its camera and its ground."""
     street = Street(StreetSettings(seed=2, movers=('faster', 'oncoming'), n_frames=60))
@@ -37,7 +31,7 @@ def drawn_pair(rng, stands=False):
     departure = np.where(rng.uniform(size=n) < 0.1, rng.choice([5.0, -1.4], n), 0.0)
     pair = regions._Pair(
         *(np.ascontiguousarray(values, float) for values in (
-            found.x_cur, found.x_prev, found.block, found.sigma)), departure, foreseen(rng, n),
+            found.x_cur, found.x_prev, found.block, found.sigma)), departure,
         np.where(drawn.surface > 3, 7, -1).astype(np.int32), drawn.outlier)
     t = np.zeros(3) if stands else t / np.linalg.norm(t)
     view = View(street.camera.K, np.ascontiguousarray(R1.T @ R0), t)
@@ -251,7 +245,7 @@ def test_departures_are_as_by_the_formula(rng):
 def test_macroblocks_are_labelled_by_area(rng):
     n = 3000
     x = rng.uniform(-20, 700, (n, 2))
-    pair = regions._Pair(x, x, rng.choice([8.0, 16.0], (n, 2)), np.ones(n), *[None] * 4)
+    pair = regions._Pair(x, x, rng.choice([8.0, 16.0], (n, 2)), np.ones(n), *[None] * 3)
     extraction = extraction_of(pair, planes=rng.integers(-1, 5, n))
     extraction.label[:] = rng.choice([*Label], n)
     for own, other in zip(vote(extraction, extraction.x_cur),

@@ -5,7 +5,7 @@ from dataclasses import replace
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.extraction.extractor import PlaneExtractor
 from mv_slapse.movers.identity import FIRST_ID, Memory
-from mv_slapse.movers.regions import Before, KnownGround, with_moving_planes
+from mv_slapse.movers.regions import KnownGround, with_moving_planes
 from mv_slapse.records import (
     CameraMotion,
     Extraction,
@@ -239,13 +239,8 @@ def after_departures(own, left, stays, pairs=3):
         pair = standing_upright(pair, own(pair.x_cur), 300)
         departure = np.where(left(pair.x_cur), 5.0, np.where(stays(pair.x_cur), -1.4, 0.0))
         found, memory = with_moving_planes(pair, memory, THRESHOLD / 2, KnownGround(ground),
-                                           unforeseen(departure))
+                                           departure)
     return found
-
-
-def unforeseen(departure):
-    """Return what the pairs before tell of blocks of which only departures are known."""
-    return Before.unknown(len(departure))._replace(departure=departure)
 
 
 def box(x0, y0, x1, y1):

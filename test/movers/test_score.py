@@ -30,7 +30,6 @@ class Seen(NamedTuple):
     noise: np.ndarray
     under: np.ndarray
     copied: np.ndarray
-    foreseen: np.ndarray
 
 
 class Blocks(NamedTuple):
@@ -102,8 +101,7 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
 def seen_as(x, rho, under):
     """Return blocks with exact inverse depths, none of them copied."""
     n = len(x)
-    return Seen(x, rho, np.full(n, 0.002), under, np.zeros(n, bool),
-                np.tile((0.0, np.inf), (n, 1)))
+    return Seen(x, rho, np.full(n, 0.002), under, np.zeros(n, bool))
 
 
 def seen_below(outline, rho, below, ground):

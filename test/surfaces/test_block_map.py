@@ -2,7 +2,7 @@
 
 from canyon import CANYON, HEIGHT, K, motion, views, WIDTH
 from mv_slapse.geometry import plane as plane_geometry
-from mv_slapse.geometry import rotation, two_view
+from mv_slapse.geometry import rotation
 from mv_slapse.geometry.rotation import exp
 from mv_slapse.motion.estimate import MotionFit
 from mv_slapse.surfaces.block_map import BlockMap
@@ -179,30 +179,3 @@ def test_without_a_view_a_turn_goes_on_for_as_long_as_it_takes(drive):
     np.testing.assert_allclose(coasted.R, exp(np.array([0, 0.12, 0])), atol=0.005)
     off, _ = cKDTree(before).query(coasted.points[:, :3] @ coasted.R)
     assert np.median(off) < 0.005
-
-
-def test_what_stands_still_is_foreseen_where_the_next_pair_shows_it(drive):
-    R, t = motion('ahead')
-    pair = drive.pair(R, t)
-    fit = MotionFit(R, t, np.eye(6), 0.0)
-    known = drive.map.known(pair, SIZE)
-    rho, sigma = drive.map.foreseen(pair, known, fit, 1.0).T
-    told = np.isfinite(sigma)
-    assert np.mean(told) > 0.5
-    assert np.all(rho[~told] == 0)
-    own, per_pixel = two_view.inverse_depth(pair.rays_cur, pair.rays_prev, pair.focal, R, t)
-    sure = told & (per_pixel * pair.sigma < 0.1 * own)
-    off = (rho - own)[sure] / np.hypot(sigma, per_pixel * pair.sigma)[sure]
-    assert np.median(np.abs(off)) < 1
-    assert np.median(np.abs(rho / own - 1)[sure]) < 0.06
-    longer = drive.map.foreseen(pair, known, fit, 2.0)[told, 0]
-    nearer = known[told, 0] / (pair.rays_prev[told] @ R[2] + 2 * known[told, 0] * t[2])
-    np.testing.assert_allclose(longer, 2 * nearer)
-
-
-def test_nothing_is_foreseen_of_what_will_be_behind_the_camera(drive):
-    R, t = motion('ahead')
-    pair = drive.pair(R, t)
-    known = np.tile((5.0, 1e-4, 5.0), (len(pair), 1))
-    found = drive.map.foreseen(pair, known, MotionFit(R, t, np.eye(6), 0.0), 1.0)
-    assert np.all(found == (0.0, np.inf))
