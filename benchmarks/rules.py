@@ -302,6 +302,8 @@ RULES = (
          {REGIONS + 'RULES': constants(kept=1.0)}),
     Rule('name of a plane', 'a region that was a stationary plane keeps its name',
          {REGIONS + 'RULES': constants(same_plane=np.inf)}),
+    Rule('own growth', 'what comes near a standing camera is one region',
+         {REGIONS + 'RULES': constants(own_growth=0.0)}),
     Rule('grown movers', 'blocks around a mover that move with it join it',
          {REGIONS + '_grown': gives(lambda alike, planes, _view:
                                     [alike.members[alike.rows(i)] for i in planes])}),

@@ -46,7 +46,7 @@ def moving_regions(pair, view, ground, nearer, rules):
     field = SimpleNamespace(
         m=m, length=length, ground_like=ground_like, far=far,
         below=rho + 2 * noise < rules.below_ground * under, growth=nearing / (1 + nearing))
-    a, b = alike(pair, field, rules)
+    a, b = alike(pair, field, np.any(view.t), rules)
     joined, index = ~ground_like[a] & ~ground_like[b], np.flatnonzero(~ground_like & ~far)
     graph = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), shape=(n, n))
     part = connected_components(graph, directed=False)[1][index]
@@ -69,7 +69,7 @@ def copied(pair, rules):
     return found
 
 
-def alike(pair, field, rules):
+def alike(pair, field, drives, rules):
     """Return the two blocks (P,), (P,) of each pair of neighbours whose vectors are alike."""
     x, m, n = pair.x, field.m, len(pair.x)
     a, b = cKDTree(x).query_pairs(rules.reach, output_type='ndarray').T
@@ -77,10 +77,12 @@ def alike(pair, field, rules):
     slack = np.clip(rules.alike_short * np.median(field.length), 0.5, 1.0) * rules.alike
     by, (growth, more) = x[a] - x[b], (field.growth[at] for at in (a, b))
     share = np.where(np.abs(growth) < np.abs(more), growth, more)
-    apart, left = (np.linalg.norm(m[a] - m[b] - by_depth[:, None] * by, axis=1)
-                   for by_depth in (np.zeros(len(a)), share))
+    own = np.clip(np.sum((m[a] - m[b]) * by, axis=1) / np.sum(by**2, axis=1), 0, rules.own_growth)
+    apart, left, nearer = (np.linalg.norm(m[a] - m[b] - grown[:, None] * by, axis=1)
+                           for grown in (np.zeros(len(a)), share, own))
     same = ((apart < slack + rules.alike_share * longer)
-            | (left < slack + rules.alike_grown * longer))
+            | (left < slack + rules.alike_grown * longer)
+            | (nearer < slack + rules.alike_grown * longer) & (not drives))
     same &= (pair.plane_id[a] == pair.plane_id[b]) & ~field.far[a] & ~field.far[b]
     same &= field.below[a] == field.below[b]
     a, b = a[same], b[same]

@@ -63,13 +63,14 @@ class Squares {
 struct RegionRules {
   explicit RegionRules(const py::object& o)
       : reach(number(o, "reach")), alike(number(o, "alike")), alike_share(number(o, "alike_share")),
-        alike_grown(number(o, "alike_grown")), alike_short(number(o, "alike_short")),
+        alike_grown(number(o, "alike_grown")), own_growth(number(o, "own_growth")),
+        alike_short(number(o, "alike_short")),
         repeated(number(o, "repeated")), least(number(o, "least")),
         on_ground(number(o, "on_ground")), below_ground(number(o, "below_ground")),
         fits(number(o, "fits")),
         far(number(o, "far")), resting(number(o, "resting")), receding(number(o, "receding")),
         macroblock(number(o, "macroblock")) {}
-  double reach, alike, alike_share, alike_grown, alike_short, repeated, least, on_ground,
+  double reach, alike, alike_share, alike_grown, own_growth, alike_short, repeated, least, on_ground,
       below_ground, fits, far, resting, receding, macroblock;
 };
 
@@ -106,7 +107,7 @@ void judge_singly(const Blocks& blocks, const View& view, const Vec3& ground, do
   const Vec3& t = view.t;
   const double focal[2] = {view.K[0], view.K[4]};
   const Mat3 R_back = transposed(view.R);
-  const bool drives = t[0] != 0 || t[1] != 0 || t[2] != 0;
+  const bool drives = view.drives();
   for (py::ssize_t i = 0; i < blocks.n; ++i) {
     const Vec3 ray = view.inverse_K * Vec3{blocks.x(i, 0), blocks.x(i, 1), 1};
     const Vec3 before = view.inverse_K * Vec3{blocks.x_prev(i, 0), blocks.x_prev(i, 1), 1};
@@ -183,7 +184,8 @@ std::vector<Pair> neighbours(const Blocks& blocks, double reach) {
 }
 
 // Pairs of neighbours whose vectors are alike, as far as they grow with what comes near.
-std::vector<Pair> alike(const Blocks& blocks, Field& field, const RegionRules& rules) {
+std::vector<Pair> alike(const Blocks& blocks, Field& field, bool drives,
+                        const RegionRules& rules) {
   auto pairs = neighbours(blocks, rules.reach);
   // Where all vectors are short a pixel would join the whole scene.
   const double slack =
@@ -207,7 +209,16 @@ std::vector<Pair> alike(const Blocks& blocks, Field& field, const RegionRules& r
     const double grown = slack + rules.alike_grown * longer;
     const double growth = std::abs(field.growth[a]) < std::abs(field.growth[b]) ? field.growth[a]
                                                                                 : field.growth[b];
-    return left(growth) >= grown;
+    if (left(growth) < grown) return false;
+    if (drives) return true;
+    // What comes near a standing camera grows by itself: its vectors part as its blocks lie.
+    double along = 0, apart = 1e-9;
+    for (int k = 0; k < 2; ++k) {
+      const double off = blocks.x(a, k) - blocks.x(b, k);
+      along += (field.parallax(a, k) - field.parallax(b, k)) * off;
+      apart += square(off);
+    }
+    return left(std::min(std::max(along / apart, 0.0), rules.own_growth)) >= grown;
   };
   pairs.erase(std::remove_if(pairs.begin(), pairs.end(), differs), pairs.end());
   // What has left where it stood is no part of what stands there, behind it or above it.
@@ -276,7 +287,7 @@ py::tuple moving_regions(const py::object& blocks_, const py::object& view_,
   Field field(blocks.n);
   judge_singly(blocks, view, vector(kernel, "ground", ground), nearer, rules, field);
   mark_copied(blocks, rules, field);
-  const auto pairs = alike(blocks, field, rules);
+  const auto pairs = alike(blocks, field, view.drives(), rules);
   const auto parts = connected(blocks, field, pairs, rules);
   return py::make_tuple(field.parallax.array(), field.rho.array(), field.noise.array(),
                         field.under.array(), field.ground_like.array(), field.far.array(),

@@ -45,6 +45,7 @@ struct View {
   View(const char* kernel, const py::object& o)
       : K(matrix(kernel, "K", o.attr("K"))), R(matrix(kernel, "R", o.attr("R"))),
         t(vector(kernel, "t", o.attr("t"))), inverse_K(inverse(K)) {}
+  bool drives() const { return t[0] != 0 || t[1] != 0 || t[2] != 0; }
   Mat3 K, R;
   Vec3 t;
   Mat3 inverse_K;

@@ -585,7 +585,7 @@ double moves(py::ssize_t r, const MovingSurfaces& fit, const Judge& judge, const
   const ScoreRules& c = judge.c;
   const Vec3& t = view.t;
   const Mat3& K = view.K;
-  const bool drives = t[0] != 0 || t[1] != 0 || t[2] != 0;
+  const bool drives = view.drives();
   const double *own = fit.covariance.data() + r * N * N, *centre = fit.centre.data() + 2 * r;
   const Vec3 rate{fit.theta(r, 0), fit.theta(r, 1), fit.theta(r, 2)};
   const Mat3 W = inverse(rate_covariance(own, rate.data(), centre, o, r, judge, K, c));

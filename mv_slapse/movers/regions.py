@@ -30,6 +30,7 @@ class Rules(NamedTuple):
     alike: float = 1.0  # px by which neighbours' vectors may differ,
     alike_share: float = 0.12  # and share of the longer one
     alike_grown: float = 0.06  # the same share once the growth by depth is taken off
+    own_growth: float = 0.12  # of what comes near a standing camera: 2 s away, 0.24 s a pair
     alike_short: float = 0.15  # share of the median vector that the pixel is at most, down to half
     alike_beside: float = 0.25  # share of a vector beside a region that it is at most
     inside: float = 2.5  # times as much within a region

@@ -33,6 +33,13 @@ def test_what_parts_is_two_regions():
     assert -1 not in (sides[0][0], sides[1][0])
 
 
+def test_what_comes_near_is_one_region():
+    """Two seconds away, in a pair over a fifth of a second: vectors from 2 to 11 px."""
+    found = moved(lambda x: 0.1 * (x - (400, 240)), 5.0)
+    assert len(set(found.plane_id[CAR])) == 1
+    assert np.all(found.label[CAR] == Label.MOVING)
+
+
 def test_a_standing_camera_sees_traffic(rng):
     street = Street(StreetSettings(seed=1, movers=('oncoming',), n_frames=200,
                                    standstill=(0.0, 20.0)))
