@@ -1,6 +1,7 @@
 from mv_slapse.evaluation import detection
-from mv_slapse.evaluation.detection import PointLabels
+from mv_slapse.evaluation.detection import grid_index, PointLabels
 from mv_slapse.evaluation.truth import LabelTable
+from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.records import Label
 import numpy as np
 from numpy.testing import assert_allclose
@@ -154,3 +155,10 @@ def test_a_box_holds_a_mover_where_most_visible_points_move(moving, still, hidde
     rows = {'stamp': np.array([100_000_000, 200_000_000]), 'x': np.full(2, 40.0),
             'y': np.full(2, 40.0), 'width': np.full(2, 16.0), 'height': np.full(2, 16.0)}
     np.testing.assert_array_equal(detection.hold_movers(rows, points), [expected, False])
+
+
+def test_a_pixel_has_the_number_of_the_centre_beside_it_or_none_outside():
+    centres = grid_centres(40, 32)
+    np.testing.assert_array_equal(grid_index(centres + (7.9, -7.9), 40, 32), np.arange(6))
+    np.testing.assert_array_equal(
+        grid_index(np.array([[-0.6, 5.0], [47.6, 5.0], [5.0, -0.6], [5.0, 31.6]]), 40, 32), -1)
