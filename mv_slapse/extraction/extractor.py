@@ -333,11 +333,10 @@ class PlaneExtractor:
         planes = [replace(plane, plane=value,
                           covariance=covariance[6 + 3 * i:9 + 3 * i, 6 + 3 * i:9 + 3 * i])
                   for i, (plane, value) in enumerate(zip(planes, values, strict=True))]
-        # What leans over once no prior holds it was not well seen; below what flies a plane at
-        # another height than many pairs show is another one, such as a roof.
+        # What leans over once no prior holds it was not well seen, nor what many pairs contradict.
         mount, height = self._memory.ground.mount, self._memory.height
         planes = [plane for plane in planes if not plane.is_ground or (
-            mount.holds(plane.plane) and (mount.rides or height.allows(plane.plane)))]
+            mount.holds(plane.plane) and height.allows(plane.plane))]
         return Found(fit, self._observed(pair, fit), planes, found.moving, found.doubtful)
 
     def _finished(self, blank, pair, found: Found, noise, prior) -> Extraction:

@@ -72,7 +72,12 @@ class HeightBelief:
         return float(np.sqrt(self.probability @ np.square(GRID - self.log) + STEP**2 / 12))
 
     def allows(self, plane: np.ndarray) -> bool:
-        """Tell whether a plane (3,) may be the ground, as far as the height is known."""
+        """Tell whether a plane (3,) may be the ground, as far as the height is known.
+
+        Where a road moves fast most of its vectors are wrong, and one pair's ground errs by 10 to
+        20 % where what many pairs show errs by 3 to 5 (KITTI at five pictures a second). In a turn
+        the road's vectors lag behind all alike, and hundreds of blocks agree on 20 %.
+        """
         spread = np.hypot(self.spread, BIAS)
         return spread > KNOWN or abs(np.log(norm(plane)) + self.log) < 3 * spread
 
