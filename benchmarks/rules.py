@@ -416,7 +416,7 @@ RULES = (
     Rule('footprint', 'cars side by side are wider than one vehicle',
          {OBSTACLES + 'footprint:may_be_one': YES, OBSTACLES + 'footprint:stand_apart': NO}),
     Rule('detection of several', 'a detection over several obstacles that is too wide for one is '
-         'none', {TRACKER + '_is_of_several': NO}),
+         'none', {TRACKER + '_of_one': gives(lambda self, found: found)}),
     Rule('units', 'obstacles follow the map where it becomes metric',
          {OBSTACLES + 'units:last_unit': gives(lambda before, now: 1.0)}),
     Rule('merging tracks', 'tracks of one vehicle become one', {TRACKER + '_merge': NOTHING}),

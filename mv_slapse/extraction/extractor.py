@@ -275,15 +275,15 @@ class PlaneExtractor:
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev)
         shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
                         sigma=pair.sigma.astype(np.float32))
-        level = before = None
+        level = gone = None
         if rides:
-            level, before = prior.normal, departure(
+            level, gone = prior.normal, departure(
                 self._memory.past_at(blank, fit, ratio), blank,
                 depths_of(pair, blank, found.evidence, found.evidence.has_depth), floor)
         known = regions.KnownGround(floor if rides else None, level, nearer, self._camera_height,
                                     id_)
         shown, self._movers = regions.with_moving_planes(
-            shown, self._movers, self._settings.moving_score, known, before)
+            shown, self._movers, self._settings.moving_score, known, gone)
         still = shown.label != Label.MOVING.value
         planes = [replace(plane, member=plane.member & still) for plane in found.planes
                   if plane.is_ground or np.mean(still[plane.member]) > 0.5]

@@ -70,8 +70,8 @@ struct RegionRules {
         fits(number(o, "fits")),
         far(number(o, "far")), resting(number(o, "resting")), receding(number(o, "receding")),
         macroblock(number(o, "macroblock")) {}
-  double reach, alike, alike_share, alike_grown, own_growth, alike_short, repeated, least, on_ground,
-      below_ground, fits, far, resting, receding, macroblock;
+  double reach, alike, alike_share, alike_grown, own_growth, alike_short, repeated, least,
+      on_ground, below_ground, fits, far, resting, receding, macroblock;
 };
 
 // A key frame pair's blocks and its camera's motion.
@@ -207,10 +207,9 @@ std::vector<Pair> alike(const Blocks& blocks, Field& field, bool drives,
     const double longer = std::max(field.length[a], field.length[b]);
     if (left(0) < slack + rules.alike_share * longer) return false;
     const double grown = slack + rules.alike_grown * longer;
-    const double growth = std::abs(field.growth[a]) < std::abs(field.growth[b]) ? field.growth[a]
-                                                                                : field.growth[b];
-    if (left(growth) < grown) return false;
-    if (drives) return true;
+    if (drives)
+      return left(std::abs(field.growth[a]) < std::abs(field.growth[b]) ? field.growth[a]
+                                                                        : field.growth[b]) >= grown;
     // What comes near a standing camera grows by itself: its vectors part as its blocks lie.
     double along = 0, apart = 1e-9;
     for (int k = 0; k < 2; ++k) {

@@ -388,7 +388,8 @@ struct ScoreRules {
         shown(number(o, "shown")), unseen(number(o, "unseen")), no_land(number(o, "no_land")),
         dependence(number(o, "dependence")), around(number(o, "around")), few(number(o, "few")),
         least_copied(number(o, "least_copied")), credit(number(o, "credit")),
-        border(number(o, "border")), together(number(o, "together")), bodies(number(o, "bodies")), copied(number(o, "copied")), step(number(o, "step")),
+        border(number(o, "border")), together(number(o, "together")),
+        bodies(number(o, "bodies")), copied(number(o, "copied")), step(number(o, "step")),
         back(number(o, "back")), macroblock(number(o, "macroblock")) {}
   double bias, least_drop, foot_sigma, edge_sigma, ground_sigma, bank_sigma, lowest_part,
       least_filled, relief, wide, pull, least_ratio, clearance, outlier, underbody, least_reach,

@@ -137,8 +137,8 @@ def _as_expected(group, expected):
     return all(covers(room, d.box) for d in group if d.id not in expected)
 
 
-def covers(box, part):
-    """Return whether a box (4,) holds most of another."""
+def covers(box: np.ndarray, part: np.ndarray) -> bool:
+    """Return whether a box (4,) holds most of another one."""
     left, top, right, bottom = _edges(box)
     first, highest, last, lowest = _edges(part)
     held = (max(min(right, last) - max(left, first), 0.0)

@@ -84,8 +84,7 @@ class ObstacleTracker:
         found = [joined(group, view) for group in association.groups(
             detections(extraction, view, self._settings), self._settings.gate, expected,
             lambda group: self._may_be_one(group, extraction))]
-        free = self._continue([item for item in found if not self._is_of_several(item)], owners,
-                              extraction)
+        free = self._continue(self._of_one(found), owners, extraction)
         self._search(extraction)
         self._begin(free, extraction)
         self._merge()
@@ -153,11 +152,12 @@ class ObstacleTracker:
         return (footprint.may_be_one(joined(group, self._view), self._view)
                 and not footprint.stand_apart(group, extraction, self._view))
 
-    def _is_of_several(self, item):
-        """Tell whether a detection holds several obstacles, of none of which it tells a thing."""
-        held = [track for track in self._tracks
-                if track.confirmed and association.covers(item.box, track.box(self._view))]
-        return len(held) > 1 and not footprint.may_be_one(item, self._view)
+    def _of_one(self, found):
+        """Return detections without those of several obstacles, of none of which they tell."""
+        places = [track.box(self._view) for track in self._tracks if track.confirmed]
+        return [item for item in found
+                if sum(association.covers(item.box, place) for place in places) < 2
+                or footprint.may_be_one(item, self._view)]
 
     def _search(self, extraction):
         """Look for the vectors of confirmed obstacles that the labels do not show."""

@@ -7,7 +7,7 @@ from itertools import pairwise
 import av
 from mv_slapse.codec.bitstream import Headers, nal_units
 from mv_slapse.codec.encoding.encoder import encode, Encoding, LOW_LATENCY
-from mv_slapse.codec.frames import _Stamps, FrameDecoder
+from mv_slapse.codec.frames import _is_blank, _Stamps, FrameDecoder
 from mv_slapse.codec.packet import Packet
 from mv_slapse.codec.places import places_of
 from mv_slapse.errors import UnusableInput
@@ -340,3 +340,12 @@ def test_two_runs_give_the_same_vectors(rng, encoding):
     for one, other in zip(decoded(packets), decoded(packets), strict=True):
         np.testing.assert_array_equal(one.displacement, other.displacement)
         np.testing.assert_array_equal(one.x, other.x)
+
+
+@pytest.mark.parametrize(('rows', 'is_blank'), [
+    (slice(0, 0), True), (slice(0, 16), False), (slice(232, 248), False),
+    (slice(464, 480), False)], ids=['nowhere', 'at the top', 'in the middle', 'at the bottom'])
+def test_a_picture_is_blank_where_nothing_shows_anywhere(rng, rows, is_blank):
+    luma = rng.normal(60, 8, (480, 640))
+    luma[rows, :320] += 80
+    assert _is_blank(luma.clip(0, 255).astype(np.uint8)) == is_blank
