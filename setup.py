@@ -70,11 +70,15 @@ def build_interfaces(source, prefix, build, destdir=None):
 
 
 def build_kernels(folder, build):
-    """Build the compiled kernels with CMake and install them into a folder of Python modules."""
+    """Build the compiled kernels with CMake and install them into a folder of Python modules.
+
+    CMAKE_ARGS of the environment are options for CMake, as other packages take them.
+    """
     # CMake keeps what it has found of one Python, so that another one needs another build folder.
     build = Path(build, f'kernels-{zlib.crc32(sys.prefix.encode()):08x}').absolute()
     run_cmake(HERE / 'mv_slapse' / 'kernels', os.path.abspath(folder), build, None,
-              f'-DPython_EXECUTABLE={sys.executable}')
+              f'-DPython_EXECUTABLE={sys.executable}',
+              *shlex.split(os.environ.get('CMAKE_ARGS', '')))
 
 
 def run_cmake(source, prefix, build, env, *options):

@@ -73,7 +73,9 @@ if [ "$ros" = apt ] && ! "$python" -c 'import rclpy' 2>/dev/null; then
 fi
 
 install() {
-    if "$venv/bin/python" -m uv pip install --python "$venv/bin/python" "$@" >>"$log" 2>&1; then
+    # The certificates are this machine's, as pip's: some networks have an authority of their own.
+    if UV_SYSTEM_CERTS=1 "$venv/bin/python" -m uv pip install --python "$venv/bin/python" "$@" \
+            >>"$log" 2>&1; then
         return
     fi
     # uv does not read pip's configuration, which may hold the only way to the packages.

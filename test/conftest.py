@@ -23,8 +23,8 @@ os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
 if Path(sys.prefix, 'share', 'ament_index').is_dir():
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
 # What takes longest comes first, so that no worker is left alone with it at the end.
-LONGEST = ('test_sanitizers.py', 'test_batch.py', 'test_reproducibility.py', 'test_demo.py',
-           'test_workers.py', 'system', 'test_package.py', 'reliability', 'nodes', 'benchmarks',
+LONGEST = ('test_wheel.py', 'test_batch.py', 'test_reproducibility.py', 'test_demo.py',
+           'test_workers.py', 'system', 'reliability', 'nodes', 'benchmarks',
            'batch', 'simulation', 'storage', 'tools', 'kernels', 'movers')
 
 
