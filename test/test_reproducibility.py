@@ -54,7 +54,7 @@ def run(clip: Clip, out: Path, first: str, **variables: str) -> Path:
     env = {name: value for name, value in os.environ.items() if name not in (
         'OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')}
     subprocess.run([sys.executable, '-c', PROGRAM.format(first=first), 'run', clip.video,
-                    '--camera', clip.camera, '--camera-height', '1.65', '--quiet',
+                    '--camera', clip.camera, '--camera-height', '1.65', '--quiet', '--no-report',
                     '--max-frames', str(clip.n_frames), '-o', out],
                    env={**env, 'PYTHONPATH': str(ROOT), **variables}, check=True, timeout=120)
     return out
