@@ -2,8 +2,8 @@
 SHELL := /bin/sh
 VENV := .venv
 RUN := . $(VENV)/setup.sh &&
-# Half of the tests of nodes is waiting: twice the cores of a small machine.
-WORKERS ?= 4
+# Half of the tests of nodes is waiting: more than twice the cores of a small machine.
+WORKERS ?= 5
 .DEFAULT_GOAL := help
 .NOTPARALLEL:  # the steps share .venv, and each takes all cores itself
 .PHONY: help setup messages kernels config demo robot-demo test lint build bench evaluate compare losses fuzz kills flips interruptions soak mutants clean

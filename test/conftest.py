@@ -22,10 +22,11 @@ os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
 if Path(sys.prefix, 'share', 'ament_index').is_dir():
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
-# What takes longest comes first, so that no worker is left alone with it at the end.
-LONGEST = ('test_wheel.py', 'test_batch.py', 'test_reproducibility.py', 'test_demo.py',
-           'test_workers.py', 'system', 'reliability', 'nodes', 'benchmarks',
-           'batch', 'simulation', 'storage', 'tools', 'kernels', 'movers')
+# What takes longest comes first, so that no worker is left alone with it at the end; what computes
+# among what waits.
+LONGEST = ('test_wheel.py', 'test_batch.py', 'test_evaluate.py', 'test_workers.py', 'simulation',
+           'test_demo.py', 'system', 'test_reproducibility.py', 'nodes', 'benchmarks', 'batch',
+           'reliability', 'storage', 'tools', 'kernels', 'movers')
 
 
 def pytest_collection_modifyitems(items):
