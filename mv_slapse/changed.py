@@ -14,14 +14,13 @@ def replace(record, **fields):
     TypeError
         Where the record has no such field.
     """
-    changed = unchecked(record, **fields)
-    if len(vars(changed)) > len(vars(record)) or hasattr(record, '__post_init__'):
+    if hasattr(record, '__post_init__') or not fields.keys() <= vars(record).keys():
         return checked(record, **fields)
-    return changed
+    return unchecked(record, **fields)
 
 
 def unchecked(record, **fields):
     """Return a frozen record with some fields changed to what needs no check, computed here."""
     changed = object.__new__(type(record))
-    vars(changed).update(vars(record), **fields)
+    object.__setattr__(changed, '__dict__', vars(record) | fields)
     return changed

@@ -99,8 +99,8 @@ class PlaneExtractor:
             turned = self._turned(status.only(whole, rows), seen[rows], known[rows], fit)
             if turned is not None:
                 return turned, rows
-        fit, length, ratio = self._map(whole).measured(pair[rows[free]], known[rows[free]], fit,
-                                                       whole.stamp)
+        fit, length, ratio = self._map(whole).measured(
+            pair[rows[free]], known.take(rows[free], 0), fit, whole.stamp)
         seen = self._observed(pair, fit)
         floor, road = self._survey(whole, seen, lone, fit, ratio)
         left = np.ones(len(whole.x_cur), bool)  # what no mover held, lone blocks too
@@ -108,7 +108,7 @@ class PlaneExtractor:
         rows = np.flatnonzero(~lone | road)
         blank, evidence = status.only(whole, rows), seen[rows]
         pair = evidence.pair
-        told = Told(known[rows], length, ratio)
+        told = Told(known.take(rows, 0), length, ratio)
         found = self._named(Found(fit, evidence, self._planes(
             blank, Found(fit, evidence, []), told, floor, (left[rows], road[rows]))))
         found = self._moving(blank, pair, found, floor, ratio)
