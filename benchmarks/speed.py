@@ -208,13 +208,16 @@ def orb_alone(images: list[np.ndarray]) -> None:
         orb.detectAndCompute(image, None)
 
 
-def ours(inputs: Inputs, clock: Clock, folder: Path) -> list[Step]:
-    """Run everything, and charge each stage and each part to its name."""
+def ours(inputs: Inputs, clock: Clock, writer: ResultsWriter | None = None) -> list[Step]:
+    """Run everything, and charge each stage to its name.
+
+    With a writer results are written after each step, and each part is charged to its name, too.
+    """
     packets, camera, settings = inputs.packets, inputs.camera, inputs.settings
     decoder, steps = CorrespondenceDecoder(settings.decoder, camera), []
     slapse = Slapse(camera, settings)
-    with ExitStack() as stack, ResultsWriter(folder) as writer:
-        for name, path in PARTS.items():
+    with ExitStack() as stack:
+        for name, path in PARTS.items() if writer else ():
             holder, attribute = place(path)
             stack.enter_context(mock.patch.object(
                 holder, attribute, clock.charged(name, getattr(holder, attribute))))
@@ -227,24 +230,28 @@ def ours(inputs: Inputs, clock: Clock, folder: Path) -> list[Step]:
         for feed in [*(lambda p=p: decoder.feed(p) for p in packets), decoder.flush]:
             for pair in clock.run('correspondences', feed):
                 steps.append(clock.run('steps', slapse.step, pair))
-                clock.run('writing', writer.write, steps[-1])
+                if writer:
+                    clock.run('writing', writer.write, steps[-1])
     return steps
 
 
 def turn(inputs: Inputs, length: odometry.Length, folder: Path):
     """Run everything once; return the times of a frame [ms], our steps and the others' poses."""
-    clock, images, K = Clock(), inputs.images, inputs.camera.K
+    clock, written, images, K = Clock(), Clock(), inputs.images, inputs.camera.K
     clock.run(BARE, bare_decoding, inputs.packets)
     clock.run(ORB, orb_alone, images)
     clock.run(AGAIN, encoded_again, inputs.packets)
-    steps = ours(inputs, clock, folder)
+    ours(inputs, clock)
+    with ResultsWriter(folder) as writer:
+        steps = ours(inputs, written, writer)
     poses = {CORNERS: clock.run(CORNERS, odometry.corner_tracking, images, K, length),
              FEATURES: clock.run(FEATURES, odometry.orb_matching, images, K, length)}
-    spent = {name: 1e3 * seconds / len(images) for name, seconds in clock.seconds.items()}
-    spent |= {name: 0.0 for name in PARTS if name not in spent}
+    spent, more = ({name: 1e3 * seconds / len(images) for name, seconds in of.seconds.items()}
+                   for of in (clock, written))
+    spent |= {name: more.get(name, 0.0) for name in (*PARTS, 'writing')}
     spent['merging'] = spent['correspondences'] - spent[DECODING]
     spent[OURS] = spent['correspondences'] + spent['steps']
-    spent[WRITING] = spent[OURS] + spent['writing']
+    spent[WRITING] = more['correspondences'] + more['steps'] + spent['writing']
     spent[BEYOND] = spent[OURS] - spent[DECODING]
     return spent, steps, poses
 
