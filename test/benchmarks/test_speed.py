@@ -26,8 +26,8 @@ def test_a_street_is_measured_in_each_encoding(made):
         assert turn['steps'] == pytest.approx(
             turn['extraction'] + turn['scene filter'] + turn['tracker'], rel=0.1)
         assert turn[speed.OURS] == pytest.approx(turn['correspondences'] + turn['steps'])
-        assert turn[speed.WRITING] == pytest.approx(turn[speed.OURS] + turn['writing'])
-        assert 0 < sum(turn[part] for part in speed.PARTS) < turn['extraction']
+        parts = sum(turn[part] for part in speed.PARTS)
+        assert 0 < turn['writing'] < turn['writing'] + parts < turn[speed.WRITING]
         assert all(turn[name] > 0 for name in (speed.BARE, speed.ORB, speed.CORNERS,
                                                speed.FEATURES, *speed.PARTS))
         assert one['ate'][speed.OURS] < 5
