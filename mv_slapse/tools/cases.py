@@ -23,7 +23,9 @@ from mv_slapse.storage.tum import read_trajectory
 from mv_slapse.tools.inputs import pictures
 import numpy as np
 
-HEIGHTS = {'kitti00': 1.65, 'tusimple': 1.8}  # m, camera above the road, from the data sets
+KITTI = 1.65  # m, its cameras above the road (Geiger et al., Vision meets Robotics, figure 3)
+HEIGHTS = {'kitti00': KITTI, 'tusimple': 1.8}  # m, camera above the road, from the data sets
+LABELLED = 'motion_labels.npz'  # of clips from KITTI, which are run with a free scale
 ENCODINGS = {'mpeg2.mpg': Encoding('mpeg2video', b_frames=3, gop=12),
              'h264_lowlatency.mp4': LOW_LATENCY,
              'h264_bframes.mp4': Encoding('h264', b_frames=3, gop=30)}
@@ -95,7 +97,15 @@ GRAINY = ', noise'  # names the rows of pictures with noise
 
 @dataclass(frozen=True)
 class Case:
-    """One row: a video, its camera, and the truth there is."""
+    """One row: a video, its camera, and the truth there is.
+
+    Attributes
+    ----------
+    height : float
+        Of the camera above the ground, as the run is told it [m]; 0: it is not.
+    true_height : float
+        The same, as only the figures are told it.
+    """
 
     name: str
     video: Path
@@ -106,6 +116,7 @@ class Case:
     boxes: Path | None = None
     annotation: Path | None = None
     speeds: tuple[Speed, ...] = ()
+    true_height: float = 0.0
 
 
 class Scene(NamedTuple):
@@ -137,10 +148,11 @@ def sequence(data: Path, folder: Path) -> Iterator[Case]:
     """Yield every video of a folder that has a camera."""
     camera = read_camera(folder / 'camera.yaml')
     truth = [folder / name if (folder / name).exists() else None for name in
-             ('ground_truth.tum', 'motion_labels.npz', 'boxes.csv', 'annotation.json')]
+             ('ground_truth.tum', LABELLED, 'boxes.csv', 'annotation.json')]
+    true_height = KITTI if (folder / LABELLED).exists() else 0.0
     for video in sorted([*folder.glob('*.mp4'), *folder.glob('*.mpg')]):
         yield Case(f'{folder.relative_to(data)}/{video.name}', video, camera,
-                   HEIGHTS.get(folder.name, 0.0), *truth)
+                   HEIGHTS.get(folder.name, 0.0), *truth, true_height=true_height)
 
 
 def cameraless(data: Path) -> list[Scene]:

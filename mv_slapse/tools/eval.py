@@ -21,6 +21,7 @@ from mv_slapse.evaluation.truth import LabelTable, read_arrays, read_labels, rea
 from mv_slapse.level import frames_from_transforms
 from mv_slapse.records import SceneEstimate
 from mv_slapse.ros_frames import RosFrames
+from mv_slapse.storage.archives import read_map
 from mv_slapse.storage.bag_reader import BagReader
 from mv_slapse.storage.tables import OBSTACLES_HEADER, PLANES_HEADER, read_table
 from mv_slapse.storage.tum import read_trajectory, Trajectory
@@ -46,13 +47,15 @@ class Results:
 
 @dataclass(frozen=True)
 class Marks:
-    """Files in which somebody marked movers in the pictures."""
+    """Files in which somebody marked movers in the pictures, and what else is known of these."""
 
     labels: str | Path | None = None  # motion_labels.npz
     boxes: str | Path | None = None  # boxes.csv
     annotation: str | Path | None = None  # annotation.json, of the last frame
     # of the frames that labels and boxes count [1/s]; as in the run's summary by default
     fps: float | None = None
+    # above the ground [m]: tells what is aside where a run has a free scale; 0: not known
+    camera_height: float = 0.0
 
 
 def evaluate(out: str | Path, ground_truth: str | Path | None = None, marks: Marks = Marks(),
@@ -101,8 +104,9 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None, marks: Mar
             read_covariances(out, stamp_offset))
         if truth.labels is not None:
             figures |= detection.block_figures(results.labels, truth.labels, truth.movers)
-    known = results.is_metric or truth.trajectory is not None
-    course = planner.Course(results.trajectory, scale if known else None)
+    if not results.is_metric and truth.trajectory is None:
+        scale = _metres_by_the_ground(out, marks.camera_height)
+    course = planner.Course(results.trajectory, scale)
     if boxes is None and annotation is None:  # those tell of one vehicle among others
         points = None if labels is None else _read_points(results, labels, marks.fps)
         movers = truth.movers if points is None else detection.point_boxes(points)
@@ -113,6 +117,16 @@ def evaluate(out: str | Path, ground_truth: str | Path | None = None, marks: Mar
             results.obstacles, int(results.labels.stamps.max(initial=0)), results.trajectory,
             _read_annotation(annotation), results.is_metric)
     return figures | _label_figures(results, marks)
+
+
+def _metres_by_the_ground(out: str | Path, camera_height: float) -> float | None:
+    """Return the metres of a map unit, by how high the first camera is above the ground."""
+    if not camera_height:
+        return None
+    ground = [plane for plane in read_map(Path(out) / 'map.json').planes if plane.is_ground]
+    if not ground:
+        return None
+    return camera_height / abs(max(ground, key=lambda plane: plane.n_observations).depth)
 
 
 def read_covariances(out: str | Path, stamp_offset: float = 0.0) -> tracking.Covariances:

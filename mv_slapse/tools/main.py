@@ -171,6 +171,8 @@ def _add_eval(commands: Any) -> argparse.ArgumentParser:
                          help='vehicles in the last frame (annotation.json)')
     command.add_argument('--fps', type=_rate, metavar='HZ',
                          help='rate of the frames in --labels and --boxes')
+    command.add_argument('--camera-height', type=_height, default=0.0, metavar='M',
+                         help='above the ground: metres for a run of free scale')
     command.add_argument('--stamp-offset', type=_offset, default=0.0, metavar='S',
                          help="taken off the results' stamps first (default: 0)")
     command.add_argument('--plot', metavar='PNG',
@@ -278,7 +280,8 @@ def _batch(args: argparse.Namespace) -> int:
 
 def _eval(args: argparse.Namespace) -> int:
     from mv_slapse.tools import eval as evaluation
-    marks = evaluation.Marks(args.labels, args.boxes, args.annotation, args.fps)
+    marks = evaluation.Marks(args.labels, args.boxes, args.annotation, args.fps,
+                             args.camera_height)
     figures = evaluation.evaluate(args.results, args.ground_truth, marks, args.stamp_offset)
     _print(args, figures, evaluation.text(figures))
     if args.plot:

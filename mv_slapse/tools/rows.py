@@ -144,7 +144,8 @@ def measure(case: Case, cache: Cache) -> Figures:
                              case.speeds)
             figures: Figures = {'n_poses': summary.poses}
             if case.ground_truth or case.labels or case.boxes or case.annotation:
-                marks = Marks(case.labels, case.boxes, case.annotation)
+                marks = Marks(case.labels, case.boxes, case.annotation,
+                              camera_height=case.true_height)
                 figures |= evaluate(folder, case.ground_truth, marks)
         except MvSlapseError as error:
             return {'error': str(error)}

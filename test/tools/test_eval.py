@@ -1,8 +1,11 @@
 import json
+import re
 import shutil
 
 import cv2
 from mv_slapse.errors import UnusableInput, UsageError
+from mv_slapse.simulation.street import StreetSettings
+from mv_slapse.storage.tables import OBSTACLES_HEADER
 from mv_slapse.storage.tum import parse_stamp
 from mv_slapse.tools import eval as tool
 import numpy as np
@@ -76,6 +79,29 @@ def test_labelled_points_and_boxes_are_scored(clip, tmp_path):
     assert figures['movers_total'] == 1
     assert figures['boxes_total'] >= 1
     assert figures['stationary_called_moving_percent'] is not None
+
+def test_the_height_of_the_camera_tells_what_is_aside_where_the_scale_is_free(out):
+    labels = out / 'points.npz'  # of nothing, so that what is confirmed is no mover
+    np.savez(labels, tracks=np.zeros((1, 21, 2)), visible=np.zeros((1, 21), bool), label=[1])
+    path = tool.read_results(out).trajectory
+    x, y, z = path.positions[-1] + (3.0, 0.0, 5.0)  # three metres beside the way of the camera
+    (out / 'obstacles.csv').write_text(
+        f'{OBSTACLES_HEADER}\n{path.stamps[-1] / 1e9:.9f},1,confirmed,9,9,9,9,'
+        f'{x},{y},{z},0,0,0,1,9\n')
+
+    def braked(**known):
+        found = tool.evaluate(out, None, tool.Marks(labels, **known))
+        return found['false_braking_frames']
+
+    assert braked() == 0
+    summary = json.loads((out / 'summary.json').read_text())
+    (out / 'summary.json').write_text(json.dumps(summary | {'scale_status': 'unknown'}))
+    height = StreetSettings().camera_height
+    assert braked() == 1  # nothing is too far aside
+    assert [braked(camera_height=h) for h in (height, height / 2)] == [0, 1]
+    (out / 'map.json').write_text(re.sub('"is_ground": true', '"is_ground": false',
+                                         (out / 'map.json').read_text()))
+    assert braked(camera_height=height) == 1
 
 
 def test_covariances_of_obstacles_come_from_the_messages(clip, out):
