@@ -169,7 +169,8 @@ QUESTIONS = (
              'of covering 12 macroblocks where that is later; missed: not at 1 s either. Others: '
              'passages of other movers, in time within 0.5 s of covering 9 macroblocks. False '
              'braking: key frames with a confirmed obstacle on the camera\'s way, less than 3 s '
-             'away, where nothing moves; where lengths are not known, on any way.',
+             'away, where nothing moves. Lengths are those of the run or of the truth, in the '
+             'labelled clips by the height of KITTI\'s cameras; where none is known, on any way.',
              (_sum('hazards', 'hazards'), _sum('in time', 'hazards_in_time'),
               _sum('missed', 'hazards_missed'),
               _median('contact when confirmed [s]', 'contact_at_confirmation_s', '{:.1f}'),
