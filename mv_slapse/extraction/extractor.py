@@ -30,6 +30,7 @@ import numpy as np
 # half of the blocks are within a standard deviation.
 PREDICTED_COST = 0.5
 MANY_MOVERS = 0.9  # share of blocks left below which the motion is estimated anew without them
+STEPS = 1.0  # px by which vectors of half a pixel jump before a camera that has no baseline
 
 
 class Told(NamedTuple):
@@ -153,7 +154,7 @@ class PlaneExtractor:
 
     def _standing(self, blank: Extraction) -> Extraction:
         """Label a key frame pair of a camera that stands still."""
-        still = np.linalg.norm(blank.x_cur - blank.x_prev, axis=1) < 0.5
+        still = np.linalg.norm(blank.x_cur - blank.x_prev, axis=1) < STEPS
         self._memory = replace(self._memory, stamp=blank.stamp, previous_stamp=None, movers=None,
                                map=self._map(blank).rested(blank.stamp))
         motion = CameraMotion(MotionStatus.STANDSTILL, covariance=np.diag([1e-8] * 3 + [0.0] * 3))
@@ -179,7 +180,8 @@ class PlaneExtractor:
             (whole.width, whole.height)))
         motion = CameraMotion(MotionStatus.ROTATION_ONLY, R, covariance=covariance)
         blank = replace(whole, sigma=pair.sigma.astype(np.float32))
-        return self._without_baseline(blank, motion, off < settings.epsilon_f)
+        still = (off < settings.epsilon_f) | (off * pair.sigma < STEPS)
+        return self._without_baseline(blank, motion, still)
 
     def _without_baseline(self, blank: Extraction, motion: CameraMotion, still) -> Extraction:
         """Label blocks (N,) that stay where they were: what moves then moves itself.
