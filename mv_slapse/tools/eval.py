@@ -123,7 +123,8 @@ def _metres_by_the_ground(out: str | Path, camera_height: float) -> float | None
     """Return the metres of a map unit, by how high the first camera is above the ground."""
     if not camera_height:
         return None
-    ground = [plane for plane in read_map(Path(out) / 'map.json').planes if plane.is_ground]
+    ground = [plane for plane in read_map(Path(out) / 'map.json').planes
+              if plane.is_ground and plane.depth]
     if not ground:
         return None
     return camera_height / abs(max(ground, key=lambda plane: plane.n_observations).depth)
