@@ -171,7 +171,8 @@ class PlaneExtractor:
         """Label the supported rows of a camera that turns on the spot; None where it moves."""
         settings, pair = self._settings, seen.pair
         R, covariance, off = estimate.turn(pair, fit.R_cur_from_prev)
-        if not block_observations.turns_only(off * pair.sigma, seen.rho, settings.epsilon_m):
+        pixels = off * pair.sigma
+        if not block_observations.turns_only(pixels, seen.rho, settings.epsilon_m):
             return None
         carried = self._map(whole)
         way = carried.turning(pair, known, R)
@@ -180,8 +181,7 @@ class PlaneExtractor:
             (whole.width, whole.height)))
         motion = CameraMotion(MotionStatus.ROTATION_ONLY, R, covariance=covariance)
         blank = replace(whole, sigma=pair.sigma.astype(np.float32))
-        still = (off < settings.epsilon_f) | (off * pair.sigma < STEPS)
-        return self._without_baseline(blank, motion, still)
+        return self._without_baseline(blank, motion, (off < settings.epsilon_f) | (pixels < STEPS))
 
     def _without_baseline(self, blank: Extraction, motion: CameraMotion, still) -> Extraction:
         """Label blocks (N,) that stay where they were: what moves then moves itself.
