@@ -14,13 +14,17 @@ def replace(record, **fields):
     TypeError
         Where the record has no such field.
     """
-    if hasattr(record, '__post_init__') or not fields.keys() <= vars(record).keys():
+    before = record.__dict__
+    now = before | fields
+    if len(now) != len(before) or hasattr(record, '__post_init__'):
         return checked(record, **fields)
-    return unchecked(record, **fields)
+    made = object.__new__(type(record))
+    object.__setattr__(made, '__dict__', now)
+    return made
 
 
 def unchecked(record, **fields):
     """Return a frozen record with some fields changed to what needs no check, computed here."""
-    changed = object.__new__(type(record))
-    object.__setattr__(changed, '__dict__', vars(record) | fields)
-    return changed
+    made = object.__new__(type(record))
+    object.__setattr__(made, '__dict__', record.__dict__ | fields)
+    return made

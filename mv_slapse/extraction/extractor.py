@@ -86,7 +86,7 @@ class PlaneExtractor:
             return self._unknown(status.only(whole, rows), reason), rows
         pair = status.pair(whole)
         supported = pair[rows]
-        if status.stands_still(supported, whole, rows, settings.standstill_share):
+        if status.stands_still(whole, rows, settings.standstill_share):
             return self._standing(status.only(whole, rows)), rows
         fit, free = self._first_motion(whole, supported)
         noise = estimate.calibrated(supported, fit, self._memory.noise)
@@ -277,10 +277,11 @@ class PlaneExtractor:
         motion = CameraMotion(MotionStatus.MOVING, fit.R_cur_from_prev, fit.t_cur_from_prev)
         shown = replace(blank, motion=motion, label=label, plane_id=plane_id,
                         sigma=pair.sigma.astype(np.float32))
+        self._memory = replace(self._memory, past=self._memory.past_at(blank, fit, ratio))
         level = gone = None
         if rides:
             level, gone = prior.normal, departure(
-                self._memory.past_at(blank, fit, ratio), blank,
+                self._memory.past, blank,
                 depths_of(pair, blank, found.evidence, found.evidence.has_depth), floor)
         known = regions.KnownGround(floor if rides else None, level, nearer, self._camera_height,
                                     id_)
@@ -370,10 +371,8 @@ class PlaneExtractor:
                  else track.seen(floor.id, floor.plane, floor.covariance))
         evidence = found.evidence
         still = evidence.has_depth & (found.moving.label != Label.MOVING.value) & ~found.doubtful
-        past = self._memory.past_at(blank, found.fit, BaselineRatio(
-            blank.baseline_ratio, blank.baseline_ratio_sigma))
         self._memory = Memory(
             blank.stamp, found.fit, blank.previous_stamp, track, noise, self._memory.next_id,
             self._memory.planes, possibly_dynamic.painted(found.moving), self._memory.height,
-            past.noted(blank.stamp, depths_of(pair, blank, evidence, still)),
+            self._memory.past.noted(blank.stamp, depths_of(pair, blank, evidence, still)),
             self._memory.map)

@@ -1,6 +1,7 @@
 """Cameras: intrinsics, lens models, and points between distorted and ideal pixels."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import cv2
 from mv_slapse.errors import UnusableInput
@@ -33,14 +34,18 @@ class Camera:
             raise UnusableInput(f'lens model {self.lens!r} is not supported; '
                                 f'use one of {", ".join(LENS_MODELS)}')
 
+    @cached_property
+    def bends(self) -> bool:
+        """Tell whether the picture is no pinhole's: r = f theta is none, whatever D is."""
+        return self.lens == 'equidistant' or bool(np.any(self.distortion))
+
 
 def undistort(camera: Camera, x: np.ndarray) -> np.ndarray:
-    """Return ideal pixels (N, 2) float64 of pixels (N, 2) seen through the lens."""
-    x = np.asarray(x, float)
-    is_fisheye = camera.lens == 'equidistant'  # whose r = f theta is no pinhole's, whatever D is
-    if not len(x) or not is_fisheye and not np.any(camera.distortion):
+    """Return ideal pixels (N, 2) of pixels (N, 2) seen through the lens."""
+    if not camera.bends or not len(x):
         return x.copy()
-    if is_fisheye:
+    x = np.asarray(x, float)
+    if camera.lens == 'equidistant':
         return cv2.fisheye.undistortPoints(x[:, None], camera.K, camera.distortion[:4],
                                            P=camera.K)[:, 0]
     # OpenCV's own five iterations leave 0.2 px in the corners of a wide lens.

@@ -37,8 +37,8 @@ class Pair:
     def __getitem__(self, mask) -> 'Pair':
         """Return the correspondences of a mask or an index."""
         rows = numbers(mask, len(self))
-        return Pair(self.rays_cur.take(rows, 0), self.rays_prev.take(rows, 0),
-                    self.x_prev.take(rows, 0), self.sigma.take(rows), self.K)
+        return Pair(*compiled.take_rows(
+            (self.rays_cur, self.rays_prev, self.x_prev, self.sigma), rows), self.K)
 
     def __len__(self) -> int:
         """Return the number of correspondences."""

@@ -14,6 +14,7 @@ void bind_region_score(kernels::py::module_& module);
 void bind_lattice(kernels::py::module_& module);
 void bind_obstacle_detection(kernels::py::module_& module);
 void bind_obstacle_motion(kernels::py::module_& module);
+void bind_rows(kernels::py::module_& module);
 void bind_scene(kernels::py::module_& module);
 void bind_scene_blocks(kernels::py::module_& module);
 void bind_joint(kernels::py::module_& module);
@@ -44,6 +45,7 @@ PYBIND11_MODULE(mv_slapse_kernels, made) {
   bind_lattice(module);
   bind_obstacle_detection(module);
   bind_obstacle_motion(module);
+  bind_rows(module);
   bind_scene(module);
   bind_scene_blocks(module);
   bind_joint(module);

@@ -70,6 +70,32 @@ py::tuple carry_points(const py::object& stamps_, const py::object& points_, std
   return py::make_tuple(to_stamps.array(), to_points.array());
 }
 
+// Points, then the new ones that a key frame shows by rays (N, 3) and inverse depths (N,), but those
+// unsure by more than a share of it.
+py::tuple note_points(const py::object& stamps_, const py::object& points_, std::int64_t stamp,
+                      const py::object& rays_, const py::object& rho_, const py::object& sigma_,
+                      double max_spread) {
+  constexpr auto kernel = "note_points";
+  const In<std::int64_t> stamps(kernel, "stamp", stamps_, {ANY});
+  const In<double> points(kernel, "X", points_, {stamps.size(), 3});
+  const In<double> rays(kernel, "rays", rays_, {ANY, 3}), rho(kernel, "rho", rho_, {rays.size()}),
+      sigma(kernel, "sigma", sigma_, {rays.size()});
+  std::vector<py::ssize_t> sure;
+  for (py::ssize_t i = 0; i < rho.size(); ++i)
+    if (sigma[i] < max_spread * rho[i]) sure.push_back(i);
+  const auto before = stamps.size(), all = before + static_cast<py::ssize_t>(sure.size());
+  Out<std::int64_t> to_stamps({all});
+  Out<double> to_points({all, 3});
+  std::copy_n(stamps.data(), before, to_stamps.data());
+  std::copy_n(points.data(), 3 * before, to_points.data());
+  for (py::ssize_t k = before; k < all; ++k) {
+    const auto i = sure[k - before];
+    to_stamps[k] = stamp;
+    for (int a = 0; a < 3; ++a) to_points(k, a) = rays(i, a) / rho[i];
+  }
+  return py::make_tuple(to_stamps.array(), to_points.array());
+}
+
 struct DepartureRules {
   explicit DepartureRules(const py::object& o)
       : youngest(number(o, "youngest")), well_known(number(o, "well_known")),
@@ -272,6 +298,7 @@ py::tuple vote_macroblocks(const py::object& x_, const py::object& block_, const
 void bind_reference_depth(kernels::py::module_& module) {
   using namespace kernels;
   module.def("carry_points", carry_points);
+  module.def("note_points", note_points);
   module.def("departures", departures);
   module.def("vote_macroblocks", vote_macroblocks);
 }

@@ -116,8 +116,9 @@ py::tuple stationary_blocks(const py::object& x_cur, const py::object& x_prev,
 }
 
 // Variance of a mean of errors across epipolar lines over what independent ones would have: each is
-// weighed as the update weighs it, products with all errors in the window around add up.
-double error_dependence(const py::object& rays_cur, const py::object& rays_prev,
+// weighed as the update weighs it, products with all errors in the window around add up. Also returns
+// the median of their standard deviations.
+py::tuple error_dependence(const py::object& rays_cur, const py::object& rays_prev,
                         const py::object& sigma, const py::object& x_prev, const py::object& focal,
                         const py::object& R, const py::object& t, double width) {
   const char* kernel = "error_dependence";
@@ -149,7 +150,8 @@ double error_dependence(const py::object& rays_cur, const py::object& rays_prev,
   for (int r = 0; r < cells.rows; ++r)
     for (int c = 0; c < cells.columns; ++c) variance += total.at(c, r) * around.at(c, r);
   const double slope = std::max(slopes / n, 0.1);  // of errors mostly beyond the kernel
-  return variance / n * (weights / n) / (slope * slope);
+  std::vector<double> spread(pair.sigma.data(), pair.sigma.data() + n);
+  return py::make_tuple(variance / n * (weights / n) / (slope * slope), median(spread));
 }
 
 // Derivative (6,) of the mean log of inverse depth by (w, t) of the pair's motion; zeros where no

@@ -35,8 +35,8 @@ class BlockObservations:
     def __getitem__(self, rows) -> 'BlockObservations':
         """Return those of a mask or an index."""
         rows = two_view.numbers(rows, len(self.rho))
-        return BlockObservations(self.pair[rows], *(
-            getattr(self, name).take(rows, 0) for name in COLUMNS))
+        columns = tuple(getattr(self, name) for name in COLUMNS)
+        return BlockObservations(self.pair[rows], *compiled.take_rows(columns, rows))
 
 
 COLUMNS = tuple(item.name for item in fields(BlockObservations))[1:]

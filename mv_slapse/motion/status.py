@@ -24,7 +24,8 @@ def only(whole: Extraction, rows: np.ndarray) -> Extraction:
     """Return an extraction of some rows, which grow."""
     if len(rows) == len(whole.x_cur):
         return whole
-    return replace(whole, **{name: getattr(whole, name).take(rows, 0) for name in COLUMNS})
+    taken = compiled.take_rows(tuple(getattr(whole, name) for name in COLUMNS), rows)
+    return replace(whole, **dict(zip(COLUMNS, taken, strict=True)))
 
 
 def scene(whole: Extraction, x: np.ndarray, settings: ExtractionSettings) -> np.ndarray:
@@ -62,14 +63,13 @@ def disagreement(seen: BlockObservations) -> str:
             'the picture moves faster than the encoder searches, or movers fill it')
 
 
-def stands_still(pair: two_view.Pair, whole: Extraction, rows: np.ndarray, share: float) -> bool:
+def stands_still(whole: Extraction, rows: np.ndarray, share: float) -> bool:
     """Tell whether so many vectors are zero, in so many parts of the picture, that it stands.
 
-    A bonnet that fills a third of the picture may have most of its vectors. ``pair`` has the
-    ``rows`` of the whole.
+    A bonnet that fills a third of the picture may have most of its vectors. The ``rows`` count.
     """
-    moved = np.square((pair.rays_cur[:, :2] - pair.rays_prev[:, :2]) * pair.focal)
-    still = moved[:, 0] + moved[:, 1] < STILL**2
+    vector = whole.x_prev - whole.x_cur
+    still = np.einsum('ij,ij->i', vector, vector)[rows] < STILL**2
     if np.count_nonzero(still) < share * len(still):
         return False
     part = np.floor(whole.x_cur[rows] * PARTS / (whole.width, whole.height)).clip(0, PARTS - 1)

@@ -54,10 +54,8 @@ class Past:
 
     def noted(self, stamp: int, depths: Depths) -> 'Past':
         """Return it with the depths that stand still in the key frame at ``stamp`` [ns]."""
-        sure = depths.sigma < MAX_SPREAD * depths.rho
-        X = depths.rays[sure] / depths.rho[sure, None]
-        return Past(np.concatenate([self.stamp, np.full(len(X), stamp)]),
-                    np.concatenate([self.X, X]))
+        return Past(*compiled.note_points(self.stamp, self.X, stamp, depths.rays, depths.rho,
+                                          depths.sigma, MAX_SPREAD))
 
 
 def depths_of(pair: Pair, extraction: Extraction, evidence: BlockObservations, known) -> Depths:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+import math
 
 from mv_slapse.changed import unchecked
 from mv_slapse.config import SceneSettings
@@ -43,9 +44,9 @@ class Dependence:
         if len(pair) < LEAST:
             return self
         weight = max(SLOW, 1 / (self.pairs + 1))
-        newest = np.log(min(max(measured(pair, R, t), BOUNDS[0]), BOUNDS[1]))
-        mean = np.log(self.value) + weight * (newest - np.log(self.value))
-        return Dependence(float(np.exp(mean)), self.pairs + 1, float(np.median(pair.sigma)))
+        newest, sigma = measured(pair, R, t)
+        newest, before = math.log(min(max(newest, BOUNDS[0]), BOUNDS[1])), math.log(self.value)
+        return Dependence(math.exp(before + weight * (newest - before)), self.pairs + 1, sigma)
 
     def settings(self, before: SceneSettings, label: np.ndarray) -> SceneSettings:
         """Return the settings with what the stream has shown of its noise, labels (N,) of a pair.
@@ -84,8 +85,10 @@ class Agreement:
         return Agreement(float(min(max(scale, LEAST_SCALE), 1.0)))
 
 
-def measured(pair: two_view.Pair, R, t) -> float:
+def measured(pair: two_view.Pair, R, t) -> tuple[float, float]:
     """Return the variance of a mean of errors, over what independent ones would have.
+
+    And the median standard deviation of the vectors [px].
 
     Errors are those across epipolar lines, which no plane has to explain. Each is weighed as the
     update weighs it; products with all errors in the window around add up to the variance.

@@ -53,7 +53,8 @@ class KnownPlanes:
     @property
     def spread(self) -> np.ndarray:
         """Return the standard deviation of each plane, as a share of it, (K,)."""
-        return np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / np.sum(self.plane**2, axis=1))
+        square = np.einsum('ki,ki->k', self.plane, self.plane)
+        return np.sqrt(np.einsum('kii->k', self.covariance) / square)
 
     def predicted(self, R, t, log_ratio: float, ratio_sigma: float) -> 'KnownPlanes':
         """Predict them through X_cur = R X_prev + t, |t| = 1 = exp(log_ratio) old baselines.

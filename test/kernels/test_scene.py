@@ -114,8 +114,9 @@ def test_what_errors_and_depths_say_together(scene):
     pair = scene.pair
     arguments = (pair.rays_cur, pair.rays_prev, pair.sigma)
     R, t = scene.R, scene.t / np.linalg.norm(scene.t)
-    assert compiled.error_dependence(*arguments, pair.x_prev, pair.focal, R, t, 3.0) == (
-        pytest.approx(reference.dependence(pair, R, t, 3.0), rel=1e-9))
+    dependence, sigma = compiled.error_dependence(*arguments, pair.x_prev, pair.focal, R, t, 3.0)
+    assert dependence == pytest.approx(reference.dependence(pair, R, t, 3.0), rel=1e-9)
+    assert sigma == np.median(pair.sigma)
     np.testing.assert_allclose(compiled.depth_slope(*arguments, pair.focal, R, t, 0.2, 0.03),
                                reference.depth_slope(pair, R, t, 0.2, 0.03), rtol=1e-9)
 
