@@ -58,8 +58,8 @@ class _Limit:
         with self._lock:
             if not self._entered:
                 self._before = [library.threads() for library in self._libraries]
-            for library in self._libraries:
-                library.set_threads(1)
+                for library in self._libraries:
+                    library.set_threads(1)
             self._entered += 1
 
     def __exit__(self, *_):

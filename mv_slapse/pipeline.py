@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from mv_slapse.blas import one_thread
 from mv_slapse.config import Settings
 from mv_slapse.extraction.extractor import PlaneExtractor
 from mv_slapse.geometry.camera import Camera
@@ -40,6 +41,7 @@ class Slapse:
         self._tracker = ObstacleTracker(settings.obstacles)
         self._to_scene: list[PlaneHandover] = []
 
+    @one_thread
     def step(self, correspondences: Correspondences, speeds: Sequence[Speed] = ()) -> Step:
         """Take in the correspondences of one key frame pair, in the order of stamps.
 

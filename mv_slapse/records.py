@@ -154,7 +154,7 @@ class CameraMotion:
     """
 
     status: MotionStatus
-    R_cur_from_prev: np.ndarray = field(default_factory=lambda: np.eye(3))
+    R_cur_from_prev: np.ndarray = field(default_factory=np.eye(3).copy)
     t_cur_from_prev: np.ndarray = field(default_factory=lambda: np.zeros(3))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     forward: bool = True

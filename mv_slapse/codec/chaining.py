@@ -95,7 +95,7 @@ def parallax(pair: Correspondences, camera: Camera | None) -> float:
     so part of a translation may pass for one: never too much parallax is told. Lone vectors are
     left out. Without a camera, shift and turn of the picture stand for the rotation.
     """
-    rows = np.flatnonzero(~pair.lone)
+    rows, = (~pair.lone).nonzero()
     if len(rows) < FEWEST:
         return 0.0
     rows = rows[::max(len(rows) // SAMPLE, 1)]

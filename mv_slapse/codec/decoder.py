@@ -1,6 +1,7 @@
 """Packets in, correspondences out: the decoder as one object with one verb."""
 
 from collections.abc import Callable
+from math import isfinite
 
 from mv_slapse.changed import replace
 from mv_slapse.codec.bridging import can_bridge, is_untrue, search
@@ -93,7 +94,7 @@ class CorrespondenceDecoder:
         """
         evidence, settings = collect(segment, self._settings), self._settings
         whole = self._merge(segment, evidence)
-        if np.isfinite(p := match_probability(evidence, whole, settings)):
+        if isfinite(p := match_probability(evidence, whole, settings)):
             right = self._right + LEARNING * (p - self._right)
             self._right = min(max(right, RIGHT[0]), RIGHT[1])
         late = segment.current.stamp - segment.previous.stamp > settings.max_chain_time * 1e9

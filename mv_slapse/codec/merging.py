@@ -48,7 +48,7 @@ def average(segment: Segment, evidence: Evidence, settings: DecoderSettings,
     # Among nothing but lone vectors none is lone: they are noise.
     n_lone = np.count_nonzero(lone)
     if n_lone and (not (direct and settings.lone_probability) or n_lone == len(lone)):
-        keep, n_lone = np.flatnonzero(~lone), 0
+        keep, n_lone = (~lone).nonzero()[0], 0
         x, vector, variance = (column.take(keep, axis=0) for column in (x, vector, variance))
     chance = existence(segment.kind, len(segment.between), p or settings.match_probability)
     probability = np.full(len(x), chance, np.float32)

@@ -80,7 +80,7 @@ class PlaneExtractor:
 
     def _shown(self, whole: Extraction, lone: np.ndarray, reason: str):
         """Return what a pair shows, and the rows of the whole that it made use of."""
-        settings, rows = self._settings, np.flatnonzero(~lone)
+        settings, (rows,) = self._settings, (~lone).nonzero()
         reason = reason or status.too_few(len(rows))
         if reason:
             return self._unknown(status.only(whole, rows), reason), rows
@@ -106,7 +106,7 @@ class PlaneExtractor:
         floor, road = self._survey(whole, seen, lone, fit, ratio)
         left = np.ones(len(whole.x_cur), bool)  # what no mover held, lone blocks too
         left[rows] = free
-        rows = np.flatnonzero(~lone | road)
+        rows, = (~lone | road).nonzero()
         blank, evidence = status.only(whole, rows), seen[rows]
         pair = evidence.pair
         told = Told(known.take(rows, 0), length, ratio)
@@ -252,7 +252,7 @@ class PlaneExtractor:
             depths = self._map(blank).joined(pair, told.known, begun.fit, told.length, depths)
         walls, known = plane_search.stationary_planes(
             depths, free, known,
-            prior.normal if floor is None else floor.plane / np.linalg.norm(floor.plane),
+            prior.normal if floor is None else floor.plane / rotation.norm(floor.plane),
             self._settings, (self._settings.max_planes - len(found), self._memory.next_id))
         newest = int(known.id.max(initial=-1))
         self._memory = replace(
@@ -289,7 +289,7 @@ class PlaneExtractor:
             shown, self._movers, self._settings.moving_score, known, gone)
         still = shown.label != Label.MOVING.value
         planes = [replace(plane, member=plane.member & still) for plane in found.planes
-                  if plane.is_ground or np.mean(still[plane.member]) > 0.5]
+                  if plane.is_ground or 2 * still[plane.member].sum() > plane.member.sum()]
         lost = {plane.id for plane in found.planes} - {plane.id for plane in planes}
         if lost:
             known = self._memory.planes

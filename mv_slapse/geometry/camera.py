@@ -64,6 +64,13 @@ def to_rays(K: np.ndarray, x: np.ndarray) -> np.ndarray:
     return rays
 
 
+def inverse(K: np.ndarray) -> np.ndarray:
+    """Return K^-1 (3, 3)."""
+    (fx, skew, cx), (_, fy, cy), _ = K.tolist()
+    return np.array([[1 / fx, -skew / (fx * fy), (skew * cy / fy - cx) / fx],
+                     [0.0, 1 / fy, -cy / fy], [0.0, 0.0, 1.0]])
+
+
 def to_pixels(K: np.ndarray, X: np.ndarray) -> np.ndarray:
     """Return pixels (N, 2) of points or rays (N, 3) in the camera frame."""
     x = X @ K.T

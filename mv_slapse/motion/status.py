@@ -68,8 +68,8 @@ def stands_still(whole: Extraction, rows: np.ndarray, share: float) -> bool:
 
     A bonnet that fills a third of the picture may have most of its vectors. The ``rows`` count.
     """
-    vector = whole.x_prev - whole.x_cur
-    still = np.einsum('ij,ij->i', vector, vector)[rows] < STILL**2
+    square = (whole.x_prev - whole.x_cur)**2
+    still = (square[:, 0] + square[:, 1])[rows] < STILL**2
     if np.count_nonzero(still) < share * len(still):
         return False
     part = np.floor(whole.x_cur[rows] * PARTS / (whole.width, whole.height)).clip(0, PARTS - 1)

@@ -81,7 +81,7 @@ def ids_of(size: np.ndarray, moves: np.ndarray, before: np.ndarray, next_id: int
     ``size`` (R,) in blocks first; else its id is new.
     """
     ids, taken = np.full(len(size), -1), set()
-    for i in sorted(np.flatnonzero(moves), key=lambda i: -size[i]):
+    for i in sorted(moves.nonzero()[0], key=lambda i: -size[i]):
         ids[i] = before[i] if before[i] >= 0 and before[i] not in taken else next_id
         next_id += int(ids[i] == next_id)
         taken.add(ids[i])

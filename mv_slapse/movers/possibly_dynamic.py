@@ -65,5 +65,5 @@ def taken(grid: np.ndarray | None, x_prev: np.ndarray) -> np.ndarray:
 def without(held: np.ndarray) -> np.ndarray:
     """Return the blocks (N,) bool that are left of those not held; all, where that is too few."""
     free = ~held
-    enough = free.sum() >= max(LEAST_LEFT * len(free), MIN_CORRESPONDENCES)
+    enough = np.count_nonzero(free) >= max(LEAST_LEFT * len(free), MIN_CORRESPONDENCES)
     return free if enough else np.ones(len(free), bool)

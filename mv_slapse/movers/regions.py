@@ -7,6 +7,7 @@ vectors, so that a slow mover becomes one in time and a wrong vector, which does
 not.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 from mv_slapse.changed import replace
@@ -103,9 +104,7 @@ class _Alike(NamedTuple):
     @property
     def size(self) -> np.ndarray:
         """Return the number of blocks of each region, (R,)."""
-        size = np.full(len(self.first), len(self.members))
-        size[:-1] = self.first[1:]
-        return size - self.first
+        return np.concatenate((self.first[1:], (len(self.members),))) - self.first
 
     def rows(self, i: int) -> slice:
         """Return where the blocks of region i are among the members."""
@@ -155,7 +154,7 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     known = np.full(len(pair.x), -1)
     known[alike.members] = np.repeat(ids, size)
     seen = ground.plane if ground.nearer == 1 else None
-    planes = {i: plane for i in sorted(np.flatnonzero(ids >= 0), key=lambda i: -size[i])
+    planes = {i: plane for i in sorted((ids >= 0).nonzero()[0], key=lambda i: -size[i])
               if (plane := settled(fit, alike, i, view, seen)) is not None}
     found = _labelled(extraction, alike, planes, ids, told, view) if planes else extraction
     judged = Judged(pair.x, pair.x_prev, pair.block, told.score, told.left, known)
@@ -216,10 +215,10 @@ def _moves(alike, told, threshold, ground):
     score = np.maximum(told.total, told.gone)
     moves = score >= threshold
     suspect = score >= RULES.kept * threshold
-    if ground.plane is not None and np.any(suspect):
+    if ground.plane is not None and suspect.any():
         suspect &= np.maximum.reduceat(alike.under[alike.members], alike.first) > 0
     moves |= suspect & told.moved
-    if np.any(moves) and np.any(suspect & ~moves):
+    if moves.any() and (suspect & ~moves).any():
         x = alike.x[alike.members]
         near = np.concatenate([x[alike.rows(i)] for i in np.flatnonzero(moves)])
         for i in np.flatnonzero(suspect & ~moves):
@@ -232,7 +231,7 @@ def _grown(alike, planes, view):
     """Return the blocks of moving regions and those around that move so, not as the ground."""
     products = np.array([plane.product for plane in planes.values()])
     members, first = compiled.grown(alike, alike, np.array([*planes]), products, view, RULES)
-    return np.split(members, first[1:])
+    return [members[begin:end] for begin, end in pairwise((*first, None))]
 
 
 def _labelled(extraction, alike, planes, ids, told, view):

@@ -68,7 +68,8 @@ def box_of(x: np.ndarray, block: np.ndarray) -> np.ndarray:
 
 def inside(x: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Return which pixels (N, 2) lie in a box (4,), (N,) bool."""
-    return np.all((x >= box[:2]) & (x <= box[:2] + box[2:]), axis=1)
+    within = (x >= box[:2]) & (x <= box[:2] + box[2:])
+    return within[:, 0] & within[:, 1]
 
 
 def body_box(x: np.ndarray, block: np.ndarray) -> np.ndarray:

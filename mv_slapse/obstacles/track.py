@@ -102,7 +102,8 @@ class Track:
         self.mu, self.P = compiled.correct_elements(
             self.mu, self.P, evidence.z, excess * evidence.R,
             association.observed(evidence.has_depth, evidence.has_rate))
-        self.mu[om.SLOPE] = np.clip(self.mu[om.SLOPE], -om.SLOPE_LIMIT, om.SLOPE_LIMIT)
+        self.mu[om.SLOPE] = np.minimum(
+            np.maximum(self.mu[om.SLOPE], -om.SLOPE_LIMIT), om.SLOPE_LIMIT)
         self.plane_id, self.x, self.block = detection.id, detection.x, detection.block
         if detection.has_depth:
             self.scale_prior, self.edge = detection.scale_prior, detection.edge

@@ -219,7 +219,7 @@ class SceneFilter:
             # The road bends below the vehicle, so about its place; the usual height of a camera
             # tells metres where the scale is free.
             scene_state.move_anchor(state, ground, state.previous.t)
-            height = 1 / np.linalg.norm(state.planes[ground].plane)
+            height = 1 / norm(state.planes[ground].plane)
             metres = speed * dt * (1.0 if self._progress.metric else USUAL_HEIGHT / height)
             scene_state.bend(state, ground, settings.ground_slope * np.sqrt(metres))
 

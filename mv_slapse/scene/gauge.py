@@ -53,11 +53,11 @@ def doubt_scale(state: SceneState, sigma: float):
 
 
 def covariance(state: SceneState, *names) -> np.ndarray:
-    """Return the covariance of blocks of the state in {W}: of their errors and of the gauge."""
-    at = np.concatenate([np.arange(state.at(name).start, state.at(name).stop) for name in names])
+    """Return the covariance of adjacent blocks of the state in {W}: of errors and of the gauge."""
+    at = slice(state.at(names[0]).start, state.at(names[-1]).stop)
     J = np.concatenate([jacobian(state, name) for name in names])
     lasting = state.error.lasting[at]
-    return state.P[at[:, None], at] + lasting @ lasting.T + J @ state.gauge.covariance @ J.T
+    return state.P[at, at] + lasting @ lasting.T + J @ state.gauge.covariance @ J.T
 
 
 def jacobian(state: SceneState, name) -> np.ndarray:

@@ -54,9 +54,9 @@ class Dependence:
         Of the vectors that have no label as many may be movers' as of the others. No first pair
         has labels of movers, as it takes two to tell them: the second one's lean counts for both.
         """
-        told = label[label != Label.UNKNOWN.value]
-        share = np.count_nonzero(told == Label.MOVING.value) / max(len(told), 1)
-        share *= np.sqrt(1 + (self.pairs == 2))
+        told = np.count_nonzero(label != Label.UNKNOWN.value)
+        share = np.count_nonzero(label == Label.MOVING.value) / max(told, 1)
+        share *= math.sqrt(1 + (self.pairs == 2))
         copied = COPIED * (self.value - 1) * self.sigma
         return unchecked(before, dependence=self.value, mover_bias=before.mover_bias * share,
                          place_bias=max(before.place_bias, copied))

@@ -171,7 +171,7 @@ class SceneMap:
 
     def _map_planes(self, state: SceneState) -> dict[int, MapPlane]:
         """Write the planes that the filter holds down in {W}, by their ids."""
-        _, planes, anchors = state.arrays
+        planes, anchors = state.anchored
         normals, depths, covariances = compiled.planes_in_world(
             planes, anchors, state.error.P, state.error.lasting, state.gauge.place,
             state.gauge.covariance)

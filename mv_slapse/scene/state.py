@@ -7,6 +7,7 @@ birth, with axes of {W}, so that it is never singular.
 """
 
 from dataclasses import dataclass, field
+import itertools
 
 from mv_slapse.config import SceneSettings
 from mv_slapse.filters import ekf
@@ -23,6 +24,10 @@ N_LASTING = LENGTH + 1
 CUR, VEL, OM, CAMERA = 6, 12, 15, 18
 THETA, PLACE_NOW = slice(CUR, CUR + 3), slice(CUR + 3, VEL)
 UNIT, UNIT_POSE = np.eye(3), np.eye(6)  # made once: numpy takes 5 us for one
+# Elements of the noise of a motion: where a place and its velocity, a turn and its rate meet.
+NOISY = tuple(np.add.outer(at, range(3)).ravel() for at in zip(
+    *itertools.product((CUR + 3, VEL), repeat=2), *itertools.product((CUR, OM), repeat=2),
+    strict=True))
 
 
 @dataclass
@@ -101,8 +106,14 @@ class SceneState:
         camera = np.concatenate([
             self.previous.R.ravel(), self.previous.t, self.current.R.ravel(), self.current.t,
             self.mount, (self.depth_scale, self.heave)])
-        values = np.array([(p.plane, p.anchor) for p in self.planes.values()]).reshape(-1, 2, 3)
-        return camera, values[:, 0].copy(), values[:, 1].copy()
+        return camera, *self.anchored
+
+    @property
+    def anchored(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return planes and anchors as the kernels take them, (P, 3) each."""
+        planes = self.planes.values()
+        return (np.array([p.plane for p in planes]).reshape(-1, 3),
+                np.array([p.anchor for p in planes]).reshape(-1, 3))
 
     def positions(self, ids) -> np.ndarray:
         """Return where planes stand in ``arrays``, (len(ids),) int64."""
@@ -175,27 +186,20 @@ def propagate(state: SceneState, dt: float, acceleration: float, angular_acceler
     F[THETA, OM:CAMERA], F[OM:, OM:CAMERA] = reach * UNIT, left * UNIT
     F[PLACE_NOW, VEL:OM] = dt * UNIT
     Q = np.zeros((CAMERA, CAMERA))
-    _integrated_noise(Q, PLACE_NOW, slice(VEL, OM), acceleration, (dt**3 / 3, dt**2 / 2, dt))
-    _integrated_noise(Q, THETA, slice(OM, CAMERA), angular_acceleration, _forgetful(dt, rate))
+    moments = (dt**3 / 3, dt**2 / 2, dt), _forgetful(dt, rate)
+    Q[NOISY] = np.repeat(np.multiply(moments, ((acceleration**2,), (angular_acceleration**2,)))
+                         [:, (0, 1, 1, 2)], 3)
     state.previous = state.current.copy()
     state.current = Pose(state.current.R @ turn, state.current.t + state.velocity * dt)
     state.omega = left * state.omega
     ekf.predict_rows(state.error, np.arange(CAMERA), F, Q)
 
 
-def _integrated_noise(Q, value: slice, rate: slice, density: float, moments):
-    """Add the covariance of a rate driven by white noise, and of its integral.
-
-    ``moments``: of unit noise, the variance of the integral, the covariance, the rate's variance.
-    """
-    unit = UNIT * density**2
-    for row, column, moment in ((value, value, moments[0]), (value, rate, moments[1]),
-                                (rate, value, moments[1]), (rate, rate, moments[2])):
-        Q[row, column] += unit * moment
-
-
 def _forgetful(dt: float, rate: float) -> tuple[float, float, float]:
-    """Return the moments of an Ornstein-Uhlenbeck process of a rate [1/s] after dt [s]."""
+    """Return the moments of an Ornstein-Uhlenbeck process of a rate [1/s] after dt [s].
+
+    Of unit noise: the variance of the integral, the covariance, the rate's variance.
+    """
     if not rate:
         return dt**3 / 3, dt**2 / 2, dt
     reach, variance = -np.expm1(-rate * dt) / rate, -np.expm1(-2 * rate * dt) / (2 * rate)
@@ -359,9 +363,9 @@ def renew(state: SceneState, relief: float):
     Their depths walk by ``relief``, a share of them, while the camera moves by its distance from
     the plane: a surface is no plane, and each part of it departs by so much.
     """
-    _, plane, anchor = state.arrays
-    above = 1 + np.sum(plane * (state.current.t - anchor), axis=1)
-    distance = np.abs(above) / np.sqrt(np.sum(plane * plane, axis=1))
+    plane, anchor = state.anchored
+    above = 1 + (plane * (state.current.t - anchor)).sum(axis=1)
+    distance = np.abs(above) / np.sqrt((plane * plane).sum(axis=1))
     way = norm(state.current.t - state.previous.t)
     share = way / np.maximum(way, distance)
     at = state.size - plane.size + np.arange(plane.size).reshape(-1, 3)

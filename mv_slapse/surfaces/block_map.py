@@ -147,7 +147,7 @@ class BlockMap:
         """
         R, t = motion
         points = compiled.fuse_map(
-            self.points, columns(pair), known, np.append(R, t),
+            self.points, columns(pair), known, np.concatenate((R.ravel(), t)),
             (pair.K, np.array(size, np.int64)), POLICY)
         span = max(stamp - self.stamp, 1)
         return replace(self, points=points, stamp=stamp, R=R, velocity=1e9 * t / span, span=span)

@@ -6,6 +6,7 @@ key frame to the next, and next to nothing lies below it.
 """
 
 from dataclasses import dataclass
+import math
 
 from mv_slapse.changed import replace
 from mv_slapse.config import ExtractionSettings
@@ -95,11 +96,11 @@ class Mount:
         learning = max(LEARNING, 1 / (self.courses + 2))
         mean = self.normal - learning * off * course
         mean /= norm(mean)
-        spread = np.sqrt(self.spread**2 + learning * (off**2 - self.spread**2))
+        spread = math.sqrt(self.spread**2 + learning * (off**2 - self.spread**2))
         slow = max(SLOW_LEARNING, 1 / (self.courses + 2))
-        climb = np.sqrt(self.climb**2 + slow * (off**2 - self.climb**2))
-        return Mount(tuple(mean), float(min(max(spread, least), self.widest)), self.widest,
-                     self.courses + 1, float(climb))
+        climb = math.sqrt(self.climb**2 + slow * (off**2 - self.climb**2))
+        return Mount(tuple(mean), min(max(spread, least), self.widest), self.widest,
+                     self.courses + 1, climb)
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ class GroundPrior:
 
     def information(self, plane: np.ndarray):
         """Return the prior's mean (3,) and information (3, 3) about a plane (3,)."""
-        length, n = np.linalg.norm(plane), self.normal
+        length, n = norm(plane), self.normal
         radial = 0.0 if np.isinf(self.spread) else 1 / (self.inverse_depth * self.spread) ** 2
         mean = n * (length if np.isinf(self.spread) else self.inverse_depth)
         tangential = 1 / (length * self.tilt) ** 2
@@ -165,13 +166,13 @@ class GroundTrack:
         """Predict the ground through X_cur = R X_prev + t, |t| = 1 = exp(ratio) old baselines."""
         if self.plane is None:
             return GroundPrior(self.mount.normal, self.mount.spread)
-        moved = plane_geometry.transform(self.plane * np.exp(ratio), R, t)
-        inverse_depth = np.linalg.norm(moved)
-        own = np.hypot(wobble, self.tilt)
+        moved = plane_geometry.transform(self.plane * math.exp(ratio), R, t)
+        inverse_depth = norm(moved)
+        own = math.hypot(wobble, self.tilt)
         expected = moved / inverse_depth / own**2 + self.mount.normal / self.mount.spread**2
         tilt = (1 / own**2 + 1 / self.mount.spread**2) ** -0.5
         # Suspension and slope change the height by a few per cent between key frames.
-        spread = np.sqrt(self.spread**2 + ratio_sigma**2 + HEIGHT_WOBBLE**2)
+        spread = math.sqrt(self.spread**2 + ratio_sigma**2 + HEIGHT_WOBBLE**2)
         return GroundPrior(expected / norm(expected), tilt, inverse_depth, spread, self.n_missed)
 
     def seen(self, id: int, plane: np.ndarray, covariance: np.ndarray) -> 'GroundTrack':
@@ -179,7 +180,7 @@ class GroundTrack:
         square = plane @ plane
         # Of a pair that tells next to nothing rounding leaves a variance below zero.
         radial = max(plane @ covariance @ plane, 0) / square
-        tilt = np.sqrt(max(np.trace(covariance) - radial, 0) / 2 / square)
+        tilt = np.sqrt(max(covariance.trace() - radial, 0) / 2 / square)
         return GroundTrack(self.mount, id, plane, float(np.sqrt(radial / square)), float(tilt))
 
     def missed(self, prior: GroundPrior) -> 'GroundTrack':
@@ -218,7 +219,7 @@ def survey(seen: BlockObservations, x: np.ndarray, lone: np.ndarray, prior: Grou
     prior = prior.informed(belief)
     road = np.zeros(len(depths), bool)
     if prior.spread < height.SURE:
-        at = np.flatnonzero(lone & ahead & seen.epipolar_inlier & ~seen.at_infinity)
+        at, = (lone & ahead & seen.epipolar_inlier & ~seen.at_infinity).nonzero()
         part = depths[at]
         road[at] = prior.hold(part, ride.cut) & (part.rho > 0)
     return belief, prior, road

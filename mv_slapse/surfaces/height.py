@@ -6,6 +6,7 @@ of the picture tells to half a per cent; so the evidence of many pairs comes tog
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from mv_slapse.geometry.rotation import norm
 from mv_slapse.kernels.binding import compiled
@@ -61,12 +62,12 @@ class HeightBelief:
         """Return what is known at first: nothing."""
         return cls(np.full(len(GRID), 1 / len(GRID)))
 
-    @property
+    @cached_property
     def log(self) -> float:
         """Return the mean of log(height)."""
         return float(self.probability @ GRID)
 
-    @property
+    @cached_property
     def spread(self) -> float:
         """Return the standard deviation of log(height)."""
         return float(np.sqrt(self.probability @ np.square(GRID - self.log) + STEP**2 / 12))

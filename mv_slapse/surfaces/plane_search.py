@@ -74,16 +74,16 @@ def stationary_planes(depths: Depths, free: np.ndarray, known: KnownPlanes,
         *depths.columns, free, nearby.plane, nearby.covariance, nearby.seen, up, room,
         {**POLICY, 'min_macroblocks': settings.min_macroblocks})
     id = np.array([-1 if i < 0 else nearby.id[i] for i in source], np.int64)
-    found = KnownPlanes(plane, covariance, id, seen, np.zeros_like(seen))
+    found = KnownPlanes(plane, covariance, id, seen, np.zeros(len(seen), np.int64))
     lost = known
     new = (id < 0) & (seen >= CONFIRMED)
-    for i in np.flatnonzero(new & (found.spread < settings.max_uncertainty)) if new.any() else ():
+    for i in (new & (found.spread < settings.max_uncertainty)).nonzero()[0] if new.any() else ():
         old = lost.recognised(plane[i], covariance[i])
         id[i] = next_id if old < 0 else old
         next_id += old < 0
         lost = lost[lost.id != id[i]]
     fits = [PlaneFit(own[i], own_covariance[i], member[i], int(id[i]))
-            for i in np.flatnonzero(id >= 0)]
+            for i in (id >= 0).nonzero()[0]]
     left = ~(known.id[:, None] == id).any(axis=1)
     if left.any():
         # A plane that is not confirmed yet lasts while nothing takes its place.

@@ -53,8 +53,7 @@ class KnownPlanes:
     @property
     def spread(self) -> np.ndarray:
         """Return the standard deviation of each plane, as a share of it, (K,)."""
-        square = np.einsum('ki,ki->k', self.plane, self.plane)
-        return np.sqrt(np.einsum('kii->k', self.covariance) / square)
+        return np.sqrt(self.covariance.trace(axis1=1, axis2=2) / (self.plane**2).sum(axis=1))
 
     def predicted(self, R, t, log_ratio: float, ratio_sigma: float) -> 'KnownPlanes':
         """Predict them through X_cur = R X_prev + t, |t| = 1 = exp(log_ratio) old baselines.

@@ -16,7 +16,7 @@ def test_rows_are_taken_as_numpy_does(rng, type_, shape):
             np.testing.assert_array_equal(found, column[rows])
 
 
-@pytest.mark.parametrize('columns, rows, says', [
+@pytest.mark.parametrize(('columns', 'rows', 'says'), [
     ((), [0], 'there must be a column'),
     (([1.0],), [0], 'no numpy array'),
     ((np.ones(()),), [0], 'has no rows'),
