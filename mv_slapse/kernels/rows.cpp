@@ -10,11 +10,13 @@ template <typename T>
 py::object taken(const char* kernel, const py::object& column, const In<std::int64_t>& rows,
                  py::ssize_t n) {
   const py::View from = py::view(column);
-  const bool one_axis = from.ndim == 1;
-  require((one_axis || from.ndim == 2) && from.shape[0] == n, kernel,
-          "columns must have one or two axes, and as many rows as each other");
-  const py::ssize_t m = rows.size(), width = one_axis ? 1 : from.shape[1];
-  Out<T> out = one_axis ? Out<T>({m}) : Out<T>({m, width});
+  require(from.ndim > 0 && from.ndim < 4 && from.shape[0] == n, kernel,
+          "columns must have one to three axes, and as many rows as each other");
+  const py::ssize_t m = rows.size(), high = from.ndim > 1 ? from.shape[1] : 1,
+                    deep = from.ndim > 2 ? from.shape[2] : 1, width = high * deep;
+  Out<T> out = from.ndim == 1   ? Out<T>({m})
+               : from.ndim == 2 ? Out<T>({m, high})
+                                : Out<T>({m, high, deep});
   const T* values = static_cast<const T*>(from.data);
   T* to = out.data();
   const auto copy = [&](py::ssize_t of) {

@@ -17,8 +17,10 @@ LINEAR = 0.2  # rad: beyond, a sine departs from its angle by 1 %
 
 def is_vague(state: SceneState) -> bool:
     """Tell whether the heading is too uncertain to be linear."""
-    values, _ = compiled.eigen_symmetric(np.ascontiguousarray(state.P[THETA, THETA]))
-    return bool(values[-1] > LINEAR**2)
+    P = state.P[THETA, THETA]
+    if P.trace() <= LINEAR**2:
+        return False
+    return bool(compiled.eigen_symmetric(np.ascontiguousarray(P))[0][-1] > LINEAR**2)
 
 
 def begin_anew(state: SceneState, is_metric: bool):

@@ -186,9 +186,10 @@ def propagate(state: SceneState, dt: float, acceleration: float, angular_acceler
     F[THETA, OM:CAMERA], F[OM:, OM:CAMERA] = reach * UNIT, left * UNIT
     F[PLACE_NOW, VEL:OM] = dt * UNIT
     Q = np.zeros((CAMERA, CAMERA))
-    moments = (dt**3 / 3, dt**2 / 2, dt), _forgetful(dt, rate)
-    Q[NOISY] = np.repeat(np.multiply(moments, ((acceleration**2,), (angular_acceleration**2,)))
-                         [:, (0, 1, 1, 2)], 3)
+    Q[NOISY] = [density**2 * moment
+                for density, (a, b, c) in ((acceleration, (dt**3 / 3, dt**2 / 2, dt)),
+                                           (angular_acceleration, _forgetful(dt, rate)))
+                for moment in (a, a, a, b, b, b, b, b, b, c, c, c)]
     state.previous = state.current.copy()
     state.current = Pose(state.current.R @ turn, state.current.t + state.velocity * dt)
     state.omega = left * state.omega

@@ -176,7 +176,7 @@ class BlockMap:
 
 def _fitted(pair, known, starts, policy) -> MapMotion:
     """Return the motion from the best of some starts (R, t)."""
-    rows = np.array([(*R.flat, *t) for R, t in starts])
+    rows = np.array([R.ravel().tolist() + t.tolist() for R, t in starts])
     R, t, _, covariance, told, _ = compiled.fit_to_map(columns(pair), known, rows, WIDTHS, policy)
     return MapMotion(R, t, covariance, 1 / math.sqrt(max(told, 1e-12)))
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 
 from mv_slapse.changed import replace
 from mv_slapse.geometry.plane import MOST_KEPT, WELL_SEEN
+from mv_slapse.geometry.two_view import numbers
 from mv_slapse.kernels.binding import compiled
 import numpy as np
 
@@ -32,7 +33,8 @@ class KnownPlanes:
 
     def __getitem__(self, rows) -> 'KnownPlanes':
         """Return those of a mask or an index."""
-        return KnownPlanes(*(getattr(self, name)[rows] for name in COLUMNS))
+        columns = tuple(getattr(self, name) for name in COLUMNS)
+        return KnownPlanes(*compiled.take_rows(columns, numbers(rows, len(self))))
 
     def __len__(self) -> int:
         """Return their number."""

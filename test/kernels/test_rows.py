@@ -6,7 +6,7 @@ import pytest
 
 
 @pytest.mark.parametrize('type_', [bool, np.int8, np.uint8, np.int32, np.int64, np.float32, float])
-@pytest.mark.parametrize('shape', [(), (1,), (2,), (3,), (7,), (0,)])
+@pytest.mark.parametrize('shape', [(), (1,), (2,), (3,), (7,), (0,), (3, 3), (2, 0)])
 def test_rows_are_taken_as_numpy_does(rng, type_, shape):
     columns = tuple(rng.integers(-99, 99, (50, *shape)).astype(type_) for _ in range(2))
     columns += (columns[0][::-1],)  # not contiguous
@@ -21,7 +21,7 @@ def test_rows_are_taken_as_numpy_does(rng, type_, shape):
     (([1.0],), [0], 'no numpy array'),
     ((np.ones(()),), [0], 'has no rows'),
     ((np.ones(3), np.ones(4)), [0], 'as many rows'),
-    ((np.ones((3, 2, 2)),), [0], 'one or two axes'),
+    ((np.ones((3, 2, 2, 2)),), [0], 'one to three axes'),
     ((np.ones(3, np.int16),), [0], 'has dtype int16'),
     ((np.ones(3),), [3], 'not there'),
     ((np.ones(3),), [-1], 'not there'),
