@@ -68,4 +68,34 @@ KERNELS_INLINE Four3 operator*(const Four& s, const Four3& a) {
   return {s * a.x, s * a.y, s * a.z};
 }
 
+// Cholesky factors of four matrices of N x N, and solutions with them, as in small.hpp; returns
+// which are positive definite. What comes of others is undefined.
+template <int N>
+KERNELS_INLINE auto cholesky(Four* A) {
+  auto good = A[0] > Four{};
+  for (int j = 0; j < N; ++j) {
+    Four d = A[j * N + j];
+    for (int k = 0; k < j; ++k) d -= A[j * N + k] * A[j * N + k];
+    good &= d > Four{};
+    A[j * N + j] = root(d);
+    for (int i = j + 1; i < N; ++i) {
+      Four s = A[i * N + j];
+      for (int k = 0; k < j; ++k) s -= A[i * N + k] * A[j * N + k];
+      A[i * N + j] = s / A[j * N + j];
+    }
+  }
+  return good;
+}
+template <int N>
+KERNELS_INLINE void cholesky_solve(const Four* L, Four* b) {
+  for (int i = 0; i < N; ++i) {
+    for (int k = 0; k < i; ++k) b[i] -= L[i * N + k] * b[k];
+    b[i] /= L[i * N + i];
+  }
+  for (int i = N - 1; i >= 0; --i) {
+    for (int k = i + 1; k < N; ++k) b[i] -= L[k * N + i] * b[k];
+    b[i] /= L[i * N + i];
+  }
+}
+
 }  // namespace kernels

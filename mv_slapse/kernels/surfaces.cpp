@@ -14,6 +14,7 @@ namespace {
 
 KERNELS_INLINE Four broadcast(double x) { return Four{} + x; }
 constexpr int STEP = static_cast<int>(LANES);
+constexpr double RIDGE = 10 * std::numeric_limits<double>::epsilon();
 
 struct Policy {
   double cut, max_excess, max_blur, roughness, density, vague, fading;  // of planes
@@ -99,7 +100,8 @@ KERNELS_INLINE Four3 rays_at(const Whitened& blocks, int i) {
 }
 // 1 for each block from i on that lies before last, 0 for others.
 KERNELS_INLINE Four before(int i, int last) {
-  return Four{0, 1, 2, 3} < broadcast(last - i) ? broadcast(1) : broadcast(0);
+  static constexpr double ONES[2 * STEP] = {1, 1, 1, 1};
+  return load(ONES + STEP - std::min(last - i, STEP));
 }
 
 // Equations of blocks from first to last within reach of a centre, each weighted by its error.
@@ -118,34 +120,95 @@ Equations equations_near(const Whitened& blocks, const double* x, const double* 
   return sums.total();
 }
 
-// Equations of a window's blocks, each weighted by its error on a plane; all alike where softness
-// is 0.
-KERNELS_WIDE
-Equations equations_in(const Whitened& blocks, const Run* runs, int n, const Vec3& plane,
-                       double softness) {
+constexpr int WIDEST = 5;  // columns of a window
+
+struct Window {
+  std::array<Run, WIDEST> runs;  // of its blocks, one in each column
+  int columns, column;           // their number, and the first
+  Run fours;                     // numbers of the runs of up to four blocks that make them up
+  int count;                     // blocks
+  bool is_tall;
+  int judged;  // blocks
+  Vec3 plane;
+  double cost;
+
+  const Run* begin() const { return runs.data(); }
+  const Run* end() const { return runs.data() + columns; }
+};
+
+// Sums over a window's blocks, each weighted by its error on a plane, or all alike.
+KERNELS_INLINE Sums sums_in(const Whitened& blocks, const Run* fours, const Window& window,
+                            bool alike, const Vec3& plane, double softness) {
   Sums sums;
-  for (int k = 0; k < n; ++k)
-    for (int i = runs[k].first; i < runs[k].last; i += STEP) {
-      const Four3 ray = rays_at(blocks, i);
-      const Four rho = load(&blocks.rho[i]), error = dot(ray, plane) + rho;
-      const Four d = broadcast(1) + error * error * softness;
-      sums.add(ray, rho, before(i, runs[k].last) / (d * d));
-    }
-  return sums.total();
+  for (int k = window.fours.first; k < window.fours.last; ++k) {
+    const int i = fours[k].first;
+    const Four3 ray = rays_at(blocks, i);
+    const Four rho = load(&blocks.rho[i]), error = dot(ray, plane) + rho;
+    const Four d = broadcast(1) + error * error * softness, own = before(i, fours[k].last);
+    sums.add(ray, rho, alike ? own : own / (d * d));
+  }
+  return sums;
 }
 
-// Sum of the squared errors of a window's blocks on a plane, each at most ``cap``.
+// Fits planes robustly to up to four windows. Tall ones are taken for walls, with normals across
+// up, which two columns of the basis span: three columns of macroblocks know no slant.
 KERNELS_WIDE
-double capped_errors(const Whitened& blocks, const Run* runs, int n, const Vec3& plane,
-                     double cap) {
+void fit_windows(const Whitened& blocks, const Run* fours, Window* windows, int n,
+                 const Mat3& basis, double softness) {
+  Four A[9] = {}, b[3] = {}, plane[3] = {};
+  auto good = broadcast(0) == broadcast(0);
+  for (int step = 0; step < 3; ++step) {
+    double upper[6][LANES], right[3][LANES];
+    for (int j = 0; j < STEP; ++j) {  // the last one fills the lanes that are left
+      const Window& window = windows[std::min(j, n - 1)];
+      const Vec3 before{plane[0][j], plane[1][j], plane[2][j]};
+      const Sums sums = step ? sums_in(blocks, fours, window, false, before, softness)
+                             : sums_in(blocks, fours, window, true, before, softness);
+      for (int k = 0; k < 6; ++k) upper[k][j] = sum(sums.A[k]);
+      for (int k = 0; k < 3; ++k) right[k][j] = sum(sums.b[k]);
+    }
+    Four now[6], L[9];
+    for (int k = 0; k < 6; ++k) now[k] = load(upper[k]);
+    const Four more = RIDGE * (now[0] + now[3] + now[5]) + broadcast(1e-12);
+    for (const int k : {0, 3, 5}) now[k] += more;
+    for (int i = 0, k = 0; i < 3; ++i)
+      for (int j = i; j < 3; ++j, ++k) A[3 * i + j] = A[3 * j + i] = good ? now[k] : A[3 * i + j];
+    for (int i = 0; i < 3; ++i) plane[i] = b[i] = good ? load(right[i]) : b[i];
+    for (int k = 0; k < 9; ++k) L[k] = A[k];
+    good &= cholesky<3>(L);
+    cholesky_solve<3>(L, plane);
+    for (Four& x : plane) x = good ? x : broadcast(0);
+  }
+  if (windows[n - 1].is_tall) {
+    Four wall[4], c[2];
+    for (int i = 0; i < 2; ++i) {
+      const Vec3 u{basis[i], basis[3 + i], basis[6 + i]};
+      Four Au[3];
+      for (int k = 0; k < 3; ++k)
+        Au[k] = A[3 * k] * u[0] + A[3 * k + 1] * u[1] + A[3 * k + 2] * u[2];
+      for (int j = 0; j < 2; ++j)
+        wall[2 * i + j] = Au[0] * basis[j] + Au[1] * basis[3 + j] + Au[2] * basis[6 + j];
+      c[i] = b[0] * u[0] + b[1] * u[1] + b[2] * u[2];
+    }
+    good = cholesky<2>(wall);
+    cholesky_solve<2>(wall, c);
+    for (int i = 0; i < 3; ++i)
+      plane[i] = good ? basis[3 * i] * c[0] + basis[3 * i + 1] * c[1] : broadcast(0);
+  }
+  for (int j = 0; j < n; ++j) windows[j].plane = {plane[0][j], plane[1][j], plane[2][j]};
+}
+
+// Sum of the squared errors of a window's blocks on its plane, each at most ``cap``.
+KERNELS_WIDE
+double capped_errors(const Whitened& blocks, const Run* fours, const Window& window, double cap) {
   Four total = broadcast(0);
   const Four most = broadcast(cap);
-  for (int k = 0; k < n; ++k)
-    for (int i = runs[k].first; i < runs[k].last; i += STEP) {
-      const Four error = dot(rays_at(blocks, i), plane) + load(&blocks.rho[i]);
-      const Four square = error * error;
-      total += before(i, runs[k].last) * (square < most ? square : most);
-    }
+  for (int k = window.fours.first; k < window.fours.last; ++k) {
+    const int i = fours[k].first;
+    const Four error = dot(rays_at(blocks, i), window.plane) + load(&blocks.rho[i]);
+    const Four square = error * error;
+    total += before(i, fours[k].last) * (square < most ? square : most);
+  }
   return sum(total);
 }
 
@@ -169,21 +232,6 @@ double sum_of_more(const double* gain, const double* taken, int first, int last)
   }
   return sum(total);
 }
-
-constexpr int WIDEST = 5;  // columns of a window
-
-struct Window {
-  std::array<Run, WIDEST> runs;  // of its blocks, one in each column
-  int columns, column;           // their number, and the first
-  int count;                     // blocks
-  bool is_tall;
-  int judged;  // blocks
-  Vec3 plane;
-  double cost;
-
-  const Run* begin() const { return runs.data(); }
-  const Run* end() const { return runs.data() + columns; }
-};
 
 struct Track {
   Gaussian now;
@@ -213,7 +261,6 @@ class Search {
 
  private:
   void tile(int wide, int high, bool is_tall);
-  void fit_window(Window& window, const Mat3& basis);
   void judge();
   void gain_of(const Vec3& plane, std::vector<double>& gain);
   void gain_of(const Vec3& plane, int first, int last, std::vector<double>& gain);
@@ -240,6 +287,7 @@ class Search {
   Components components_;
   std::vector<int> cell_begin_;  // of each cell, by columns: first block in it or after it
   std::vector<Window> windows_;
+  std::vector<Run> fours_;  // of windows, each of up to four blocks in a row
   std::vector<int> best_, judges_, asked_;
   int now_ = 0;
   std::vector<double> worse_;
@@ -304,42 +352,19 @@ void Search::tile(int wide, int high, bool is_tall) {
         window.count += run.last - run.first;
       }
       if (window.count < is_.least) continue;
+      window.fours.first = static_cast<int>(fours_.size());
+      for (const Run& run : window)
+        for (int k = run.first; k < run.last; k += STEP)
+          fours_.push_back({k, std::min(k + STEP, run.last)});
+      window.fours.last = static_cast<int>(fours_.size());
       windows_.push_back(window);
     }
-}
-
-// Fits a window's plane robustly. Tall windows are taken for walls: three columns know no slant.
-void Search::fit_window(Window& window, const Mat3& basis) {
-  const double softness = 1 / is_.cap;
-  Equations e;
-  for (int step = 0; step < 3; ++step) {
-    e = equations_in(blocks_, window.begin(), window.columns, window.plane, step ? softness : 0);
-    e.ridge(10 * std::numeric_limits<double>::epsilon());
-    Mat3 L = e.A;
-    window.plane = e.b;
-    if (!cholesky(L.data(), 3)) {
-      window.plane = {};
-      break;
-    }
-    cholesky_solve(L.data(), 3, window.plane.data());
-  }
-  if (!window.is_tall) return;
-  double A[4], b[2];
-  for (int i = 0; i < 2; ++i) {
-    const Vec3 u{basis[i], basis[3 + i], basis[6 + i]}, Au = e.A * u;
-    for (int j = 0; j < 2; ++j)
-      A[2 * i + j] = Au[0] * basis[j] + Au[1] * basis[3 + j] + Au[2] * basis[6 + j];
-    b[i] = dot(e.b, u);
-  }
-  window.plane = {};
-  if (!cholesky(A, 2)) return;
-  cholesky_solve(A, 2, b);
-  for (int i = 0; i < 3; ++i) window.plane[i] = basis[3 * i] * b[0] + basis[3 * i + 1] * b[1];
 }
 
 // Lays windows and fits planes to them; false where no window holds enough blocks.
 bool Search::look() {
   tile(WIDEST, 5, false);
+  const std::size_t level = windows_.size();
   tile(3, 9, true);
   if (windows_.empty()) return false;
   Vec3 values;
@@ -350,9 +375,13 @@ bool Search::look() {
     basis[3 * i] = across[3 * i + 1];
     basis[3 * i + 1] = across[3 * i + 2];
   }
+  for (std::size_t i = 0, end; i < windows_.size(); i = end) {  // four of a kind at a time
+    end = std::min(i + LANES, i < level ? level : windows_.size());
+    fit_windows(blocks_, fours_.data(), &windows_[i], static_cast<int>(end - i), basis,
+                1 / is_.cap);
+  }
   std::vector<double> squared;
-  for (Window& window : windows_) {
-    fit_window(window, basis);
+  for (const Window& window : windows_) {
     if (window.count < 1.5 * is_.least || window.is_tall) continue;
     for (const Run& run : window) {
       squared_errors(blocks_, run.first, run.last, window.plane, squared_.data());
@@ -378,8 +407,7 @@ void Search::judge() {
   best_.assign(blocks_.n, -1);
   for (int w = 0; w < static_cast<int>(windows_.size()); ++w) {
     Window& window = windows_[w];
-    window.cost = capped_errors(blocks_, window.begin(), window.columns, window.plane, is_.cap) /
-                  window.count;
+    window.cost = capped_errors(blocks_, fours_.data(), window, is_.cap) / window.count;
     const double total = window.cost + 3.0 / window.count;  // of a plane's degrees of freedom
     for (const Run& run : window)
       for (int k = run.first; k < run.last; ++k)
@@ -482,7 +510,7 @@ Gaussian Search::grown(const Window& window, const double* centre, int first, in
   for (const double softness : {0.25, 1.0, 1.0}) {
     Equations e = equations_near(blocks_, x_.data(), y_.data(), {first, last}, centre, is_.reach,
                                  out.plane, softness);
-    e.ridge(10 * std::numeric_limits<double>::epsilon());
+    e.ridge(RIDGE);
     if (!inverse(e.A, out.covariance)) break;
     out.plane = out.covariance * e.b;
     out = upright(out, up_, is_);
