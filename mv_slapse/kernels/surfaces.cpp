@@ -212,6 +212,33 @@ double capped_errors(const Whitened& blocks, const Run* fours, const Window& win
   return sum(total);
 }
 
+// Writes the squared errors of a window's blocks on its plane, and up to three numbers more;
+// returns their end.
+KERNELS_WIDE
+double* squared_errors(const Whitened& blocks, const Run* fours, const Window& window,
+                       double* out) {
+  for (int k = window.fours.first; k < window.fours.last; ++k) {
+    const int i = fours[k].first;
+    const Four error = dot(rays_at(blocks, i), window.plane) + load(&blocks.rho[i]);
+    store(error * error, out);
+    out += fours[k].last - i;
+  }
+  return out;
+}
+
+// Gives a window's number to those of its blocks that are known for a larger cost so far.
+KERNELS_WIDE
+void judge_by(const Run* fours, const Window& window, double number, double cost, double* least,
+           double* best) {
+  for (int k = window.fours.first; k < window.fours.last; ++k) {
+    const int i = fours[k].first;
+    const Four was = load(least + i);
+    const auto better = (before(i, fours[k].last) > broadcast(0)) & (broadcast(cost) < was);
+    store(better ? broadcast(cost) : was, least + i);
+    store(better ? broadcast(number) : load(best + i), best + i);
+  }
+}
+
 // Squared errors of blocks on a plane.
 KERNELS_WIDE
 void squared_errors(const Whitened& blocks, int first, int last, const Vec3& plane, double* out) {
@@ -354,8 +381,11 @@ void Search::tile(int wide, int high, bool is_tall) {
       if (window.count < is_.least) continue;
       window.fours.first = static_cast<int>(fours_.size());
       for (const Run& run : window)
-        for (int k = run.first; k < run.last; k += STEP)
-          fours_.push_back({k, std::min(k + STEP, run.last)});
+        for (int k = run.first; k < run.last; k += STEP) {
+          Run& four = fours_.emplace_back();
+          four.first = k;
+          four.last = std::min(k + STEP, run.last);
+        }
       window.fours.last = static_cast<int>(fours_.size());
       windows_.push_back(window);
     }
@@ -380,19 +410,20 @@ bool Search::look() {
     fit_windows(blocks_, fours_.data(), &windows_[i], static_cast<int>(end - i), basis,
                 1 / is_.cap);
   }
-  std::vector<double> squared;
-  for (const Window& window : windows_) {
-    if (window.count < 1.5 * is_.least || window.is_tall) continue;
-    for (const Run& run : window) {
-      squared_errors(blocks_, run.first, run.last, window.plane, squared_.data());
-      squared.insert(squared.end(), &squared_[run.first], &squared_[run.last]);
-    }
-  }
+  const auto counts = [&](const Window& window) {
+    return !window.is_tall && !(window.count < 1.5 * is_.least);
+  };
+  int n = 0;
+  for (const Window& window : windows_) n += counts(window) ? window.count : 0;
+  std::vector<double> squared(n + STEP);
+  double* last = squared.data();
+  for (const Window& window : windows_)
+    if (counts(window)) last = squared_errors(blocks_, fours_.data(), window, last);
   double noise = 1;
-  if (!squared.empty()) {
-    const auto middle = squared.begin() + squared.size() / 2;
-    std::nth_element(squared.begin(), middle, squared.end());
-    const double below = squared.size() % 2 ? *middle : *std::max_element(squared.begin(), middle);
+  if (n) {
+    double* const middle = squared.data() + n / 2;
+    select(squared.data(), middle, last);
+    const double below = n % 2 ? *middle : *std::max_element(squared.data(), middle);
     noise = std::clamp(std::sqrt(0.5 * (below + *middle) * is_.noise_least), 1.0, 4.0);
   }
   for (auto* column : {&blocks_.ray[0], &blocks_.ray[1], &blocks_.ray[2], &blocks_.rho})
@@ -403,16 +434,14 @@ bool Search::look() {
 
 // Lets each block be judged by the window around it whose own plane fits best.
 void Search::judge() {
-  std::vector<double> least(blocks_.n, INFINITE);
-  best_.assign(blocks_.n, -1);
-  for (int w = 0; w < static_cast<int>(windows_.size()); ++w) {
+  std::vector<double> least(blocks_.n + STEP, INFINITE), best(blocks_.n + STEP, -1.0);
+  for (std::size_t w = 0; w < windows_.size(); ++w) {
     Window& window = windows_[w];
     window.cost = capped_errors(blocks_, fours_.data(), window, is_.cap) / window.count;
     const double total = window.cost + 3.0 / window.count;  // of a plane's degrees of freedom
-    for (const Run& run : window)
-      for (int k = run.first; k < run.last; ++k)
-        if (total < least[k]) least[k] = total, best_[k] = w;
+    judge_by(fours_.data(), window, static_cast<double>(w), total, least.data(), best.data());
   }
+  best_.assign(best.begin(), best.end() - STEP);
   for (const int w : best_)
     if (w >= 0 && ++windows_[w].judged == is_.judged) judges_.push_back(w);
   worse_.assign(windows_.size(), 0.0);
