@@ -299,7 +299,7 @@ class Search {
     return cell_begin_[std::clamp(column, 0, cells_.columns) * cells_.rows];
   }
   bool settled(Track& track, std::vector<int>& part);
-  void share_out(const std::vector<Gaussian>& known, const std::vector<int>& seen);
+  void share_out(const std::vector<Gaussian>& known, const std::vector<int>& seen, bool again);
   double more(const std::vector<int>& part, const std::vector<double>& gain) const;
   bool is_plane(const Track& track, const std::vector<int>& part);
   double share_of_outline(const std::vector<int>& part);
@@ -315,9 +315,9 @@ class Search {
   std::vector<int> cell_begin_;  // of each cell, by columns: first block in it or after it
   std::vector<Window> windows_;
   std::vector<Run> fours_;  // of windows, each of up to four blocks in a row
-  std::vector<int> best_, judges_, asked_;
+  std::vector<int> best_, judges_, asked_, near_;
   int now_ = 0;
-  std::vector<double> worse_;
+  std::vector<double> gain_of_;
   std::vector<unsigned char> outline_, wider_;
   std::vector<Track> found_;
   std::vector<std::vector<int>> parts_;
@@ -442,9 +442,10 @@ void Search::judge() {
     judge_by(fours_.data(), window, static_cast<double>(w), total, least.data(), best.data());
   }
   best_.assign(best.begin(), best.end() - STEP);
+  near_.assign(blocks_.n + 1, 0);
   for (const int w : best_)
     if (w >= 0 && ++windows_[w].judged == is_.judged) judges_.push_back(w);
-  worse_.assign(windows_.size(), 0.0);
+  gain_of_.assign(windows_.size(), 0.0);
   asked_.assign(windows_.size(), 0);
 }
 
@@ -463,19 +464,23 @@ void Search::gain_of(const Vec3& plane, int first, int last, std::vector<double>
   const int begin = first_from(cells_.column[first] - WIDEST),
             end = first_from(cells_.column[last - 1] + WIDEST + 1);
   squared_errors(blocks_, begin, end, plane, squared_.data());
-  capped_[begin] = 0;
-  for (int i = begin; i < end; ++i) capped_[i + 1] = capped_[i] + std::min(squared_[i], is_.cap);
+  int n = 0;
+  double sum = capped_[begin] = 0;
+  for (int i = begin; i < end; ++i) {
+    capped_[i + 1] = sum += std::min(squared_[i], is_.cap);
+    near_[n] = i;
+    n += (squared_[i] < near) & (best_[i] >= 0) & (i >= first) & (i < last);
+  }
   ++now_;
-  for (int i = first; i < last; ++i) {
-    const int w = best_[i];
-    if (!(squared_[i] < near) || w < 0) continue;
+  for (int k = 0; k < n; ++k) {
+    const int w = best_[near_[k]];
     if (std::exchange(asked_[w], now_) != now_) {
       const Window& window = windows_[w];
       double total = 0;
       for (const Run& run : window) total += capped_[run.last] - capped_[run.first];
-      worse_[w] = total / window.count - window.cost;
+      gain_of_[w] = std::max(is_.max_excess - (total / window.count - window.cost), 0.0);
     }
-    gain[i] = std::max(is_.max_excess - worse_[w], 0.0);
+    gain[near_[k]] = gain_of_[w];
   }
 }
 
@@ -610,8 +615,8 @@ void Search::find_new(int room) {
 }
 
 // Gives each block to the plane that explains it best, and fits the planes again.
-void Search::share_out(const std::vector<Gaussian>& known, const std::vector<int>& seen) {
-  for (Track& track : found_) gain_of(track.now.plane, track.gain);
+void Search::share_out(const std::vector<Gaussian>& known, const std::vector<int>& seen,
+                       bool again) {
   std::vector<std::vector<int>> own(found_.size());
   for (int i = 0; i < blocks_.n; ++i) {
     double most = 0;
@@ -631,9 +636,11 @@ void Search::share_out(const std::vector<Gaussian>& known, const std::vector<int
     if (parts_[j].size() < least) parts_[j].clear();
     if (parts_[j].empty()) continue;
     track.now = fit(parts_[j], track.now.plane);
-    if (track.before < 0) continue;
-    track.now = fused(known[track.before], track.now);
-    track.seen = seen[track.before] + 1;
+    if (track.before >= 0) {
+      track.now = fused(known[track.before], track.now);
+      track.seen = seen[track.before] + 1;
+    }
+    if (again) gain_of(track.now.plane, track.gain);
   }
 }
 
@@ -678,7 +685,8 @@ std::vector<Track> Search::chosen(const std::vector<Gaussian>& known,
                                   const std::vector<int>& seen, int room) {
   see_again(known, seen);
   find_new(room - static_cast<int>(found_.size()));
-  for (int round = 0; round < 2 && !found_.empty(); ++round) share_out(known, seen);
+  if (!found_.empty())
+    for (const bool again : {true, false}) share_out(known, seen, again);
   std::vector<Track> kept;
   std::vector<std::vector<int>> parts;
   for (std::size_t i = 0; i < found_.size(); ++i)
