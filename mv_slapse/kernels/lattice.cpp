@@ -35,69 +35,60 @@ Cells::Cells(const double* x, int n) : column(n), row(n) {
 }
 
 Components::Components(const Cells& cells, int reach)
-    : cells_(cells), reach_(reach), width_(cells.columns) {
-  const std::size_t area = static_cast<std::size_t>(cells.columns) * cells.rows;
-  occupied_.resize(area);
-  grown_.resize(width_);
-  run_of_.resize(area + 2 * static_cast<std::size_t>(reach) * width_);
-  stamp_.resize(area);
+    : cells_(cells), gap_(2 * reach + 1), latest_(cells.columns), latest_row_(cells.columns),
+      stamp_(static_cast<std::size_t>(cells.columns) * cells.rows) {}
+
+int Components::root(int place) {
+  while (parent_[place] != place) place = parent_[place] = parent_[parent_[place]];
+  return place;
 }
 
-int Components::root(int run) {
-  while (runs_[run].parent != run) run = runs_[run].parent = runs_[runs_[run].parent].parent;
-  return run;
+void Components::connect(int a, int b) {
+  a = root(a), b = root(b);
+  parent_[std::max(a, b)] = std::min(a, b);
 }
 
-// A block's cell, grown by `reach` to all sides, touches that of a neighbour: so rows are grown
-// downward and upward, and cells of a row within 2 reach + 1 make one run. Runs of rows in
-// sequence that touch, at corners too, belong together.
+// Sorts some numbers of blocks by their columns or rows, equal ones as they come.
+void Components::sort(const std::vector<int>& from, const std::vector<int>& blocks,
+                      const std::vector<int>& line, int lines, std::vector<int>& to) {
+  begin_.assign(lines + 1, 0);
+  for (const int i : blocks) ++begin_[line[i] + 1];
+  std::partial_sum(begin_.begin(), begin_.end(), begin_.begin());
+  to.resize(from.size());
+  for (const int i : from) to[begin_[line[blocks[i]]]++] = i;
+}
+
+// Row by row each block is connected with the latest one of each column around. What lies around
+// its neighbour in the row as well, the neighbour is connected with.
 int Components::label(const std::vector<int>& blocks, std::vector<int>& component) {
-  component.resize(blocks.size());
-  if (blocks.empty()) return 0;
-  int top = cells_.rows, bottom = -1;
-  for (const int i : blocks) {
-    top = std::min(top, cells_.row[i]);
-    bottom = std::max(bottom, cells_.row[i]);
-    occupied_[cells_.at(i)] = 1;
-  }
-  runs_.clear();
-  int before = 0, begin = 0;
-  for (int row = top - reach_; row <= bottom + reach_; ++row) {
-    std::fill(grown_.begin(), grown_.end(), 0);
-    for (int r = std::max(row - reach_, top); r <= std::min(row + reach_, bottom); ++r) {
-      const unsigned char* from = &occupied_[static_cast<std::size_t>(r) * width_];
-      for (int c = 0; c < width_; ++c) grown_[c] |= from[c];
+  const int n = static_cast<int>(blocks.size());
+  parent_.resize(n);
+  std::iota(parent_.begin(), parent_.end(), 0);
+  sort(parent_, blocks, cells_.column, cells_.columns, by_column_);
+  sort(by_column_, blocks, cells_.row, cells_.rows, order_);
+  std::fill(latest_row_.begin(), latest_row_.end(), -gap_ - 1);
+  for (int place = 0, end = 0, row = -1; place < n; ++place) {
+    const int block = blocks[order_[place]], column = cells_.column[block];
+    int c = std::max(column - gap_, 0);
+    if (std::exchange(row, cells_.row[block]) == row && column < end) {
+      connect(place, place - 1);
+      c = end;
     }
-    begin = static_cast<int>(runs_.size());
-    int* run_of = &run_of_[static_cast<std::size_t>(row + reach_) * width_];
-    for (int c = 0; c < width_; ++c) {
-      if (!grown_[c]) continue;
-      const int last = static_cast<int>(runs_.size()) - 1;
-      if (last >= begin && c - runs_[last].last <= 2 * reach_ + 1)
-        runs_[last].last = c;
-      else
-        runs_.push_back({row, c, c, last + 1});
-      run_of[c] = static_cast<int>(runs_.size()) - 1;
-    }
-    for (int i = begin, j = before; i < static_cast<int>(runs_.size()); ++i) {
-      while (j < begin && runs_[j].last + 2 * reach_ + 1 < runs_[i].first) ++j;
-      for (int k = j; k < begin && runs_[k].first - 2 * reach_ - 1 <= runs_[i].last; ++k) {
-        const int a = root(k), b = root(i);
-        runs_[std::max(a, b)].parent = std::min(a, b);
-      }
-    }
-    before = begin;
+    end = std::min(column + gap_ + 1, cells_.columns);
+    for (; c < end; ++c)
+      if (row - latest_row_[c] <= gap_) connect(place, latest_[c]);
+    latest_[column] = place;
+    latest_row_[column] = row;
   }
-  number_.assign(runs_.size(), -1);
-  int n = 0;
-  for (std::size_t run = 0; run < runs_.size(); ++run)
-    if (root(static_cast<int>(run)) == static_cast<int>(run)) number_[run] = n++;
-  for (std::size_t i = 0; i < blocks.size(); ++i) {
-    const int block = blocks[i];
-    occupied_[cells_.at(block)] = 0;
-    component[i] = number_[root(run_of_[cells_.at(block) + reach_ * width_])];
+  component.resize(n);
+  number_.resize(n);
+  int count = 0;
+  for (int place = 0; place < n; ++place) {
+    const int first = root(place);
+    if (first == place) number_[place] = count++;
+    component[order_[place]] = number_[first];
   }
-  return n;
+  return count;
 }
 
 int Components::count(const std::vector<int>& blocks) {

@@ -33,16 +33,15 @@ class Components {
   std::vector<int> largest(const std::vector<int>& blocks);
 
  private:
-  struct Run {
-    int row, first, last, parent;
-  };
-  int root(int run);
+  int root(int place);
+  void connect(int a, int b);
+  void sort(const std::vector<int>& from, const std::vector<int>& blocks,
+            const std::vector<int>& line, int lines, std::vector<int>& to);
 
   const Cells& cells_;
-  const int reach_, width_;
-  std::vector<unsigned char> occupied_, grown_;
-  std::vector<int> run_of_, stamp_, component_, number_;
-  std::vector<Run> runs_;
+  const int gap_;  // cells from one to another that it is connected with
+  std::vector<int> latest_, latest_row_;  // of each column: the last block's place in the order
+  std::vector<int> stamp_, component_, number_, parent_, begin_, by_column_, order_;
   int now_ = 0;
 };
 
