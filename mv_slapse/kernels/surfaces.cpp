@@ -104,20 +104,45 @@ KERNELS_INLINE Four before(int i, int last) {
   return load(ONES + STEP - std::min(last - i, STEP));
 }
 
-// Equations of blocks from first to last within reach of a centre, each weighted by its error.
+// Tells which blocks from first to last lie within reach of a centre: 1 for each, 0 for others. Of
+// those that come in fours with one of them the first ones are listed; returns how many.
 KERNELS_WIDE
-Equations equations_near(const Whitened& blocks, const double* x, const double* y, Run run,
-                         const double* centre, double reach, const Vec3& plane, double softness) {
-  Sums sums;
+int find_near(const double* x, const double* y, Run run, const double* centre, double reach,
+              double* near, int* fours) {
   const Four none = broadcast(0), far = broadcast(reach);
+  int n = 0;
   for (int i = run.first; i < run.last; i += STEP) {
+    const Four dx = load(x + i) - centre[0], dy = load(y + i) - centre[1];
+    const Four own = (dx < far) & (dx > -far) & (dy < far) & (dy > -far) ? before(i, run.last) : none;
+    store(own, near + i);
+    fours[n] = i;
+    n += sum(own) > 0;
+  }
+  return n;
+}
+
+// Equations of such blocks, each weighted by its error.
+KERNELS_WIDE
+Equations equations_near(const Whitened& blocks, const double* near, const int* fours, int n,
+                         const Vec3& plane, double softness) {
+  Sums sums;
+  for (int k = 0; k < n; ++k) {
+    const int i = fours[k];
     const Four3 ray = rays_at(blocks, i);
     const Four rho = load(&blocks.rho[i]), error = dot(ray, plane) + rho;
-    const Four dx = load(x + i) - centre[0], dy = load(y + i) - centre[1];
-    const Four d = broadcast(1) + error * error * softness, w = before(i, run.last) / (d * d);
-    sums.add(ray, rho, (dx < far) & (dx > -far) & (dy < far) & (dy > -far) ? w : none);
+    const Four d = broadcast(1) + error * error * softness;
+    sums.add(ray, rho, load(near + i) / (d * d));
   }
   return sums.total();
+}
+
+// Leaves a plane's gain to those blocks only, and raises what planes explain together.
+KERNELS_WIDE
+void explain(const double* near, int first, int last, double* gain, double* explained) {
+  for (int i = first; i < last; ++i) {
+    gain[i] *= near[i];
+    explained[i] = std::max(explained[i], gain[i]);
+  }
 }
 
 constexpr int WIDEST = 5;  // columns of a window
@@ -294,7 +319,7 @@ class Search {
   std::vector<int> together(const std::vector<double>& gain);
   void see_again(const std::vector<Gaussian>& known, const std::vector<int>& seen);
   void find_new(int room);
-  Gaussian grown(const Window& window, const double* centre, int first, int last) const;
+  Gaussian grown(const Window& window, int fours) const;
   int first_from(int column) const {
     return cell_begin_[std::clamp(column, 0, cells_.columns) * cells_.rows];
   }
@@ -309,7 +334,7 @@ class Search {
   const Vec3 up_;
   std::vector<int> order_;
   Whitened blocks_;
-  std::vector<double> x_, y_, squared_, capped_, taken_;  // capped_: sums up to each block
+  std::vector<double> x_, y_, squared_, capped_, taken_, inside_;  // capped_: sums up to each block
   Cells cells_;
   Components components_;
   std::vector<int> cell_begin_;  // of each cell, by columns: first block in it or after it
@@ -351,7 +376,7 @@ Search::Search(const Policy& is, const Vec3& up, Sorted sorted, const double* ra
       components_(cells_) {
   const int n = static_cast<int>(order_.size());
   blocks_.resize(n);
-  for (auto* column : {&x_, &y_, &squared_, &capped_, &taken_}) column->assign(n + STEP, 0.0);
+  for (auto* column : {&x_, &y_, &squared_, &capped_, &taken_, &inside_}) column->assign(n + STEP, 0.0);
   for (int i = 0; i < n; ++i) {
     const int from = order_[i];
     for (int j = 0; j < 3; ++j) blocks_.ray[j][i] = rays[3 * from + j] / sigma[from];
@@ -539,11 +564,11 @@ void Search::see_again(const std::vector<Gaussian>& known, const std::vector<int
 }
 
 // Fits a window's plane to all blocks in reach, so that it settles on a whole surface.
-Gaussian Search::grown(const Window& window, const double* centre, int first, int last) const {
+Gaussian Search::grown(const Window& window, int fours) const {
   Gaussian out{window.plane, {}};
   for (const double softness : {0.25, 1.0, 1.0}) {
-    Equations e = equations_near(blocks_, x_.data(), y_.data(), {first, last}, centre, is_.reach,
-                                 out.plane, softness);
+    Equations e =
+        equations_near(blocks_, inside_.data(), near_.data(), fours, out.plane, softness);
     e.ridge(RIDGE);
     if (!inverse(e.A, out.covariance)) break;
     out.plane = out.covariance * e.b;
@@ -583,12 +608,11 @@ void Search::find_new(int room) {
     for (double& mean : centre) mean /= window.count;
     const int first = first_from(window.column - reach),
               last = first_from(window.column + WIDEST + reach);
-    Track track{grown(window, centre, first, last), -1, 1, {}, first, last};
+    const int fours = find_near(x_.data(), y_.data(), {first, last}, centre, is_.reach,
+                                inside_.data(), near_.data());
+    Track track{grown(window, fours), -1, 1, {}, first, last};
     gain_of(track.now.plane, first, last, track.gain);
-    for (int i = first; i < last; ++i)
-      if (std::abs(x_[i] - centre[0]) >= is_.reach || std::abs(y_[i] - centre[1]) >= is_.reach)
-        track.gain[i] = 0;
-    for (int i = first; i < last; ++i) explained[i] = std::max(explained[i], track.gain[i]);
+    explain(inside_.data(), first, last, track.gain.data(), explained.data());
     proposed.push_back(std::move(track));
   }
   const std::size_t before = found_.size();
