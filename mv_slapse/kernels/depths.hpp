@@ -58,15 +58,6 @@ struct Equations {
   Mat3 A{};
   Vec3 b{};
 
-  // Adds a block, whose weight is that of its squared error.
-  void add(const Whitened& blocks, int i, double weight) {
-    const double r[3] = {blocks.ray[0][i], blocks.ray[1][i], blocks.ray[2][i]};
-    for (int j = 0; j < 3; ++j) {
-      const double w = weight * r[j];
-      for (int k = j; k < 3; ++k) A[3 * j + k] += w * r[k];
-      b[j] -= w * blocks.rho[i];
-    }
-  }
   void mirror() {
     A[3] = A[1];
     A[6] = A[2];
@@ -78,9 +69,9 @@ struct Equations {
   }
 };
 
-// Weight of Geman and McClure for a squared error; `softness` is 1 / width^2.
-inline double geman_mcclure(double squared, double softness) {
-  const double d = 1 + squared * softness;
+// Weights of Geman and McClure for errors; `softness` is 1 / width^2.
+KERNELS_INLINE Four geman_mcclure(const Four& error, double softness) {
+  const Four d = 1 + error * error * softness;
   return 1 / (d * d);
 }
 
@@ -89,17 +80,46 @@ struct Gaussian {
   Mat3 covariance;
 };
 
+// Sums of a plane's equations over n blocks (ray, rho), each weighted by its error on the plane, in
+// their order; n is a multiple of LANES, and the last may be zeros.
+KERNELS_WIDE
+static Equations equations(const double* blocks, std::size_t n, const Vec3& plane,
+                           double softness) {
+  Four sums[3] = {};
+  for (const double* end = blocks + LANES * n; blocks < end; blocks += LANES * LANES) {
+    Four b[LANES];
+    for (std::size_t k = 0; k < LANES; ++k) b[k] = load(blocks + LANES * k);
+    const Four3 ray{{b[0][0], b[1][0], b[2][0], b[3][0]},
+                    {b[0][1], b[1][1], b[2][1], b[3][1]},
+                    {b[0][2], b[1][2], b[2][2], b[3][2]}};
+    const Four rho{b[0][3], b[1][3], b[2][3], b[3][3]};
+    const Four weight = geman_mcclure(dot(ray, plane) + rho, softness);
+    for (std::size_t k = 0; k < LANES; ++k) {
+      const Four weighted = weight[k] * b[k];
+      for (int j = 0; j < 3; ++j) sums[j] += weighted[j] * b[k];
+    }
+  }
+  Equations e;
+  for (int j = 0; j < 3; ++j) {
+    for (int k = j; k < 3; ++k) e.A[3 * j + k] = sums[j][k];
+    e.b[j] -= sums[j][3];
+  }
+  e.mirror();
+  return e;
+}
+
 // Reweighted least squares of a plane from a start, with a prior (mean, information) or none.
 inline Gaussian refined(const Whitened& blocks, const std::vector<int>& which, Vec3 plane,
                         double softness, int steps, const Gaussian* prior = nullptr) {
+  const std::size_t n = (which.size() + LANES - 1) / LANES * LANES;
+  std::vector<double> own(LANES * n);
+  for (std::size_t k = 0; k < which.size(); ++k) {
+    for (int j = 0; j < 3; ++j) own[LANES * k + j] = blocks.ray[j][which[k]];
+    own[LANES * k + 3] = blocks.rho[which[k]];
+  }
   Gaussian out{plane, {}};
   for (int step = 0; step < steps; ++step) {
-    Equations e;
-    for (const int i : which) {
-      const double error = blocks.error(i, out.plane);
-      e.add(blocks, i, geman_mcclure(error * error, softness));
-    }
-    e.mirror();
+    Equations e = equations(own.data(), n, out.plane, softness);
     if (prior) {
       e.b = e.b + prior->covariance * prior->plane;
       for (int i = 0; i < 9; ++i) e.A[i] += prior->covariance[i];
