@@ -314,6 +314,37 @@ std::vector<Vec3> proposals(const Depths& depths, const std::vector<int>& sample
   return out;
 }
 
+// Blocks of a sample by column; columns end with LANES zeros.
+struct Sample {
+  std::vector<double> ray[3], rho, sigma;
+  std::size_t n;
+
+  Sample(const Depths& depths, const std::vector<int>& which) : n(which.size()) {
+    for (auto* column : {&ray[0], &ray[1], &ray[2], &rho, &sigma}) column->resize(n + LANES);
+    for (std::size_t k = 0; k < n; ++k) {
+      for (int j = 0; j < 3; ++j) ray[j][k] = depths.ray(which[k], j);
+      rho[k] = depths.rho[which[k]];
+      sigma[k] = depths.sigma[which[k]];
+    }
+  }
+};
+
+// A sum and the blocks' squared errors on a plane, each at most `cap` and that much where a block
+// is blurred; as soon as it is not less than `most`, it is enough.
+KERNELS_WIDE
+double capped_errors(const Sample& blocks, const Vec3& plane, double blur, double cap, double sum,
+                     double most) {
+  const Four bound = Four{} + cap;
+  for (std::size_t i = 0; i < blocks.n && sum < most; i += LANES) {
+    const Four3 ray{load(&blocks.ray[0][i]), load(&blocks.ray[1][i]), load(&blocks.ray[2][i])};
+    const Four should = -dot(ray, plane), sigma = load(&blocks.sigma[i]);
+    const Four error = (load(&blocks.rho[i]) - should) / sigma, square = error * error;
+    const Four part = (sigma > blur * should) | (bound < square) ? bound : square;
+    for (std::size_t k = 0; k < std::min(LANES, blocks.n - i); ++k) sum += part[k];
+  }
+  return sum;
+}
+
 // How many positive values at most differ by less than a share.
 int most_alike(std::vector<double> values, double share) {
   for (double& value : values) value = std::log(value);
@@ -350,18 +381,14 @@ py::object find_ground(const py::object& rays, const py::object& rho, const py::
   if (sample.empty() || components.count(sample) < least) return py::none();
   const auto expects = [&](int i, const Vec3& plane) { return -depths.along(i, plane); };
   // Least truncated squared error, in outliers, with the prior's distance.
+  const Sample columns(depths, sample);
   Vec3 plane{};
   double cost = INFINITE;
   for (const Vec3& proposed : proposals(depths, sample, prior, 4 * policy(is, "radius"), drawn)) {
     const double away = prior.distance(proposed);
     if (!(away < 9)) continue;  // 3 sigma
-    double sum = away * cut * cut;
-    for (std::size_t k = 0; k < sample.size() && sum < cost; ++k) {
-      const int i = sample[k];
-      const double should = expects(i, proposed);
-      const double error = (depths.rho[i] - should) / depths.sigma[i];
-      sum += depths.sigma[i] > blur * should ? cut * cut : std::min(error * error, cut * cut);
-    }
+    const double sum =
+        capped_errors(columns, proposed, blur, cut * cut, away * cut * cut, cost);
     if (sum < cost) {
       cost = sum;
       plane = proposed;
