@@ -14,10 +14,10 @@ namespace {
 constexpr double PI = 3.14159265358979323846;
 
 double median(std::vector<double>& values) {
-  const auto middle = values.begin() + values.size() / 2;
-  std::nth_element(values.begin(), middle, values.end());
+  double* const middle = values.data() + values.size() / 2;
+  select(values.data(), middle, values.data() + values.size());
   if (values.size() % 2) return *middle;
-  return 0.5 * (*std::max_element(values.begin(), middle) + *middle);
+  return 0.5 * (*std::max_element(values.data(), middle) + *middle);
 }
 
 // Rays, inverse depths, their standard deviations and pixels of N blocks.
@@ -47,8 +47,7 @@ struct Corridor {
     across = (1 / norm(across)) * across;
   }
   double drop(const Depths& depths, int i) const { return -depths.along(i, normal); }
-  bool holds(const Depths& depths, int i) const {
-    const double falls = drop(depths, i);
+  bool holds(const Depths& depths, int i, double falls) const {
     return falls > least && std::abs(depths.along(i, across)) < wide * falls;
   }
 };
@@ -57,39 +56,49 @@ struct Corridor {
 // upright, of one depth, than level.
 void mark_bodies(const Depths& depths, const std::vector<double>& drop,
                  const std::vector<int>& known, const py::dict& is, std::vector<char>& body) {
-  const double size = policy(is, "macroblock"), beside = policy(is, "beside"),
-               low = policy(is, "above_least"), high = policy(is, "above_most"),
+  const double size = policy(is, "macroblock"), beside = policy(is, "beside") * size,
+               low = policy(is, "above_least") * size, high = policy(is, "above_most") * size,
                relief = policy(is, "body_relief"), stray = policy(is, "stray"),
                sure = policy(is, "upright_sure");
-  std::vector<double> x;
-  for (const int i : known) x.insert(x.end(), {depths.x(i, 0), depths.x(i, 1)});
-  const Cells cells(x.data(), static_cast<int>(known.size()));
-  const int reach = static_cast<int>(std::ceil(high)), wide = static_cast<int>(std::ceil(beside));
-  std::vector<int> begin(static_cast<std::size_t>(cells.columns) * cells.rows + 1), member(known);
-  for (int i = 0; i < cells.size(); ++i) ++begin[cells.at(i) + 1];
+  const int n = static_cast<int>(known.size());
+  std::vector<double> pixels(2 * known.size()), x(n), y(n);
+  for (int k = 0; k < n; ++k)
+    for (int j = 0; j < 2; ++j) pixels[2 * k + j] = depths.x(known[k], j);
+  const Cells cells(pixels.data(), n);
+  const int reach = static_cast<int>(std::ceil(high / size)),
+            wide = static_cast<int>(std::ceil(beside / size));
+  std::vector<int> begin(static_cast<std::size_t>(cells.columns) * cells.rows + 1), member(n);
+  for (int k = 0; k < n; ++k) ++begin[cells.at(k) + 1];
   std::partial_sum(begin.begin(), begin.end(), begin.begin());
   std::vector<int> next(begin);
-  for (int i = 0; i < cells.size(); ++i) member[next[cells.at(i)]++] = known[i];
-  for (int k = 0; k < cells.size(); ++k) {
+  for (int k = 0; k < n; ++k) {
+    const int place = next[cells.at(k)]++;
+    member[place] = known[k];
+    x[place] = pixels[2 * k];
+    y[place] = pixels[2 * k + 1];
+  }
+  for (int k = 0; k < n; ++k) {
     const int upper = known[k];
+    const double x_upper = pixels[2 * k], y_upper = pixels[2 * k + 1];
+    const int first = std::max(cells.column[k] - wide, 0),
+              last = std::min(cells.column[k] + wide, cells.columns - 1);
     for (int row = cells.row[k]; row <= std::min(cells.row[k] + reach, cells.rows - 1); ++row)
-      for (int column = std::max(cells.column[k] - wide, 0);
-           column <= std::min(cells.column[k] + wide, cells.columns - 1); ++column)
-        for (int m = begin[row * cells.columns + column];
-             m < begin[row * cells.columns + column + 1]; ++m) {
-          const int lower = member[m];
-          const double aside = std::abs(depths.x(lower, 0) - depths.x(upper, 0)) / size,
-                       up = (depths.x(lower, 1) - depths.x(upper, 1)) / size;
-          if (!(aside <= beside && up >= low && up <= high)) continue;
-          const double a = depths.rho[upper], b = depths.rho[lower];
-          const double rough = relief * std::max(a, b);
-          const double variance = depths.sigma[lower] * depths.sigma[lower] +
-                                  depths.sigma[upper] * depths.sigma[upper] + rough * rough;
-          const double level = a - b * drop[upper] / drop[lower], upright = a - b;
-          if (std::exp(-0.5 * upright * upright / variance) + stray >
-              sure * (std::exp(-0.5 * level * level / variance) + stray))
-            body[lower] = body[upper] = 1;
-        }
+      for (int m = begin[row * cells.columns + first]; m < begin[row * cells.columns + last + 1];
+           ++m) {
+        const double aside = std::abs(x[m] - x_upper), up = y[m] - y_upper;
+        if (!((aside <= beside) & (up >= low) & (up <= high))) continue;
+        const int lower = member[m];
+        if (body[lower] && body[upper]) continue;
+        const double a = depths.rho[upper], b = depths.rho[lower];
+        const double rough = relief * std::max(a, b);
+        const double variance = depths.sigma[lower] * depths.sigma[lower] +
+                                depths.sigma[upper] * depths.sigma[upper] + rough * rough;
+        const double level = a - b * drop[upper] / drop[lower], upright = a - b;
+        if (sure >= 1 && std::abs(upright) >= std::abs(level)) continue;  // level is likelier
+        if (std::exp(-0.5 * upright * upright / variance) + stray >
+            sure * (std::exp(-0.5 * level * level / variance) + stray))
+          body[lower] = body[upper] = 1;
+      }
   }
 }
 
@@ -109,6 +118,8 @@ py::tuple find_way(const py::object& rays, const py::object& rho, const py::obje
   std::vector<double> drop(n), distance, lengths;
   std::vector<char> body(n);
   std::vector<int> known;
+  for (auto* values : {&distance, &lengths}) values->reserve(n);
+  known.reserve(n);
   for (int i = 0; i < n; ++i) {
     drop[i] = road.drop(depths, i);
     if (!fits[i] || !(depths.rho[i] > 0)) continue;
@@ -122,7 +133,7 @@ py::tuple find_way(const py::object& rays, const py::object& rho, const py::obje
   Out<double> falls({n});
   for (int i = 0; i < n; ++i) {
     falls[i] = drop[i];
-    ahead[i] = road.holds(depths, i);
+    ahead[i] = road.holds(depths, i, drop[i]);
     way[i] = ahead[i] && depths.rho[i] > turn / around && !body[i];
   }
   const double ceiling = static_cast<double>(distance.size()) >= policy(is, "min_depths")
@@ -375,7 +386,8 @@ py::object find_ground(const py::object& rays, const py::object& rho, const py::
   const Corridor corridor(prior.normal, {0, 0, 1}, is);
   std::vector<int> sample;
   for (int i = 0; i < n; ++i)
-    if (may[i] && depths.rho[i] > 0 && corridor.holds(depths, i)) sample.push_back(i);
+    if (may[i] && depths.rho[i] > 0 && corridor.holds(depths, i, corridor.drop(depths, i)))
+      sample.push_back(i);
   const Cells cells(depths.x.data(), n);
   Components components(cells);
   if (sample.empty() || components.count(sample) < least) return py::none();

@@ -13,9 +13,11 @@ namespace {
 constexpr double MACROBLOCK = 16;  // px
 constexpr double FARTHEST = 2048;  // macroblocks from the picture's corner: the box's limit
 
+// The floor of the library is a call for each number.
 int cell_of(double x) {
-  return static_cast<int>(
-      std::clamp(std::floor((x + 0.5) / MACROBLOCK), -FARTHEST, FARTHEST));
+  const double cell = std::clamp((x + 0.5) / MACROBLOCK, -FARTHEST, FARTHEST);
+  const int towards_zero = static_cast<int>(cell);
+  return towards_zero - (towards_zero > cell);
 }
 
 }  // namespace
@@ -27,9 +29,9 @@ Cells::Cells(const double* x, int n) : column(n), row(n) {
   }
   for (auto [values, extent] : {std::pair{&column, &columns}, std::pair{&row, &rows}}) {
     if (!n) continue;
-    const auto [low, high] = std::minmax_element(values->begin(), values->end());
-    const int first = *low;
-    *extent = *high - first + 1;
+    int first = values->front(), last = first;
+    for (const int value : *values) first = std::min(first, value), last = std::max(last, value);
+    *extent = last - first + 1;
     for (int& value : *values) value -= first;
   }
 }

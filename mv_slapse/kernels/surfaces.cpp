@@ -113,7 +113,8 @@ int find_near(const double* x, const double* y, Run run, const double* centre, d
   int n = 0;
   for (int i = run.first; i < run.last; i += STEP) {
     const Four dx = load(x + i) - centre[0], dy = load(y + i) - centre[1];
-    const Four own = (dx < far) & (dx > -far) & (dy < far) & (dy > -far) ? before(i, run.last) : none;
+    const auto inside = (dx < far) & (dx > -far) & (dy < far) & (dy > -far);
+    const Four own = inside ? before(i, run.last) : none;
     store(own, near + i);
     fours[n] = i;
     n += sum(own) > 0;
@@ -376,7 +377,8 @@ Search::Search(const Policy& is, const Vec3& up, Sorted sorted, const double* ra
       components_(cells_) {
   const int n = static_cast<int>(order_.size());
   blocks_.resize(n);
-  for (auto* column : {&x_, &y_, &squared_, &capped_, &taken_, &inside_}) column->assign(n + STEP, 0.0);
+  for (auto* column : {&x_, &y_, &squared_, &capped_, &taken_, &inside_})
+    column->assign(n + STEP, 0.0);
   for (int i = 0; i < n; ++i) {
     const int from = order_[i];
     for (int j = 0; j < 3; ++j) blocks_.ray[j][i] = rays[3 * from + j] / sigma[from];
