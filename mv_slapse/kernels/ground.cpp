@@ -142,6 +142,47 @@ py::tuple find_way(const py::object& rays, const py::object& rho, const py::obje
                         lengths.empty() ? 0.0 : median(lengths));
 }
 
+// How many pixels lie less than `apart` from one along both axes; columns end with LANES that do not.
+KERNELS_WIDE
+double count_near(const std::vector<double>& x, const std::vector<double>& y, std::size_t one,
+                  double apart) {
+  Four count = {};
+  const Four none = {}, each = none + 1, far = none + apart;
+  for (std::size_t i = 0; i + LANES < x.size(); i += LANES) {
+    const Four dx = load(&x[i]) - x[one], dy = load(&y[i]) - y[one];
+    count += (dx < far) & (dx > -far) & (dy < far) & (dy > -far) ? each : none;
+  }
+  return sum(count);
+}
+
+// What a block of a road tells of a height: it lies this deep where the camera is one unit high.
+struct Told {
+  double falls, depth, variance, rough, blurred;  // the latter two: squared shares of the depth
+  double right, stray, share;  // that it is right, the density where it is not, and its weight
+
+  // Adds the log-likelihoods of heights; columns end with LANES numbers, which may be changed.
+  KERNELS_WIDE
+  void add_to(std::vector<double>& sums, const std::vector<double>& heights) const {
+    const Four none = {}, each = none + 1, nothing = none + share * std::log(1 - right);
+    for (std::size_t g = 0; g + LANES < heights.size(); g += LANES) {
+      const Four expected = falls * load(&heights[g]);
+      const Four all = variance + rough * expected * expected, miss = depth - expected;
+      const Four squared = miss * miss / all;
+      const auto vague = all > blurred * expected * expected;
+      const auto far = squared > none + 64;  // 8 sigma: the density is below rounding
+      store(load(&sums[g]) + (~vague & far ? nothing : none), &sums[g]);
+      const Four near = vague | far ? none : each;
+      if (sum(near) == 0) continue;
+      for (std::size_t k = 0; k < LANES; ++k) {
+        if (near[k] == 0) continue;
+        const double density = std::exp(-0.5 * squared[k]) * expected[k] /
+                               (std::sqrt(2 * PI) * std::sqrt(all[k]));
+        sums[g + k] += share * std::log(1 - right + right * density / stray);
+      }
+    }
+  }
+};
+
 // A belief of log(height) on a grid (G,) after blocks of a road, right and wrong ones; what one
 // tells counts less the more blocks lie about it.
 py::object see_height(const py::object& belief, const py::object& grid, const py::object& rho,
@@ -179,7 +220,12 @@ py::object see_height(const py::object& belief, const py::object& grid, const py
   if (possible.empty()) return py::none();
   const double right = std::clamp(1 - total / static_cast<double>(possible.size()),
                                   policy(is, "right_least"), policy(is, "right_most"));
-  std::vector<double> heights(cells), sums(cells);
+  std::vector<double> heights(cells + LANES), sums(cells + LANES), columns, rows;
+  for (const int i : possible) {
+    columns.push_back(pixels(i, 0));
+    rows.push_back(pixels(i, 1));
+  }
+  for (auto* places : {&columns, &rows}) places->resize(possible.size() + LANES, INFINITE);
   for (py::ssize_t g = 0; g < cells; ++g) heights[g] = std::exp(-logs[g]);
   // Neighbours err together, so that of many blocks some tell as much as all.
   const std::size_t every = 1 + possible.size() / static_cast<std::size_t>(policy(is, "asked"));
@@ -192,31 +238,17 @@ py::object see_height(const py::object& belief, const py::object& grid, const py
       stray += std::exp(-0.5 * gap * gap) / (std::sqrt(2 * PI) * isotropy) * passing[j];
     }
     stray /= total + 1;
-    int near = 0;
-    for (const int j : possible)
-      near += std::abs(pixels(i, 0) - pixels(j, 0)) < apart &&
-              std::abs(pixels(i, 1) - pixels(j, 1)) < apart;
-    const double share = static_cast<double>(every) / (sites * near);
+    const double share =
+        static_cast<double>(every) / (sites * count_near(columns, rows, k, apart));
     const double rough = std::hypot(relief, tilt / falls[i]);
-    const double nothing = share * std::log(1 - right);
-    for (py::ssize_t g = 0; g < cells; ++g) {
-      const double expected = falls[i] * heights[g];
-      const double variance =
-          blur[i] * blur[i] + rough * rough * expected * expected;
-      if (variance > blurred * blurred * expected * expected) continue;
-      const double miss = depth[i] - expected, squared = miss * miss / variance;
-      if (squared > 64) {  // 8 sigma: the density is below rounding
-        sums[g] += nothing;
-        continue;
-      }
-      const double density =
-          std::exp(-0.5 * squared) * expected / (std::sqrt(2 * PI) * std::sqrt(variance));
-      sums[g] += share * std::log(1 - right + right * density / stray);
-    }
+    const Told told{falls[i], depth[i], blur[i] * blur[i], rough * rough, blurred * blurred,
+                    right, stray, share};
+    told.add_to(sums, heights);
   }
+  const double highest = std::log(ceiling);
   double most = -INFINITE;
   for (py::ssize_t g = 0; g < cells; ++g) {
-    sums[g] = logs[g] < std::log(ceiling) ? sums[g] + std::log(prior[g]) : -INFINITE;
+    sums[g] = logs[g] < highest ? sums[g] + std::log(prior[g]) : -INFINITE;
     most = std::max(most, sums[g]);
   }
   Out<double> after({cells});
