@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "arrays.hpp"
+#include "lanes.hpp"
 #include "movers.hpp"
 #include "small.hpp"
 
@@ -17,6 +18,7 @@ namespace {
 
 constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
+constexpr auto STEP = static_cast<py::ssize_t>(LANES);
 
 // The lattice of macroblocks, those that the border cuts included.
 struct Macroblocks {
@@ -107,11 +109,22 @@ struct DepartureRules {
       straying, at_edges;
 };
 
+// The median of n numbers, of two the larger; mostly they are few.
+double middle(double* from, std::int64_t n) {
+  const double last = from[n - 1];
+  if (n == 1) return last;
+  const auto [low, high] = std::minmax(from[0], from[1]);
+  if (n == 2) return high;
+  if (n == 3) return std::max(low, std::min(high, last));
+  std::nth_element(from, from + n / 2, from + n);
+  return from[n / 2];
+}
+
 // What inverse depths were seen in macroblocks, and the least in and around them, a while ago.
 struct Reference {
   // Depths `seen` in `cell`, both (n,).
-  Reference(const Macroblocks& grid, const std::vector<std::int64_t>& cell,
-            const std::vector<double>& seen, double least_seen)
+  Reference(const Macroblocks& grid, const std::vector<int>& cell, const std::vector<double>& seen,
+            double least_seen)
       : inside(grid.size(), UNKNOWN), least(grid.size(), UNKNOWN) {
     std::vector<std::int64_t> end(grid.size() + 1);
     for (const auto k : cell) ++end[k + 1];
@@ -121,9 +134,7 @@ struct Reference {
     for (std::int64_t k = 0, begin = 0; k < grid.size(); begin = end[k++])
       if (end[k] > begin) {
         // Of all that lies in a macroblock now the median counts.
-        const auto middle = sorted.begin() + begin + (end[k] - begin) / 2;
-        std::nth_element(sorted.begin() + begin, middle, sorted.begin() + end[k]);
-        inside[k] = *middle;
+        inside[k] = middle(&sorted[begin], end[k] - begin);
       }
     surround(grid, least_seen);
   }
@@ -139,7 +150,7 @@ struct Reference {
       for (std::int64_t c = 0; c < columns; ++c) {
         const double own = inside[r * columns + c];
         known[c + 1] = own == own;
-        line[c + 1] = own == own ? own : INFINITE;
+        line[c + 1] = std::min(INFINITE, own);  // that where it is unknown, too
       }
       for (std::int64_t c = 0; c < columns; ++c) {
         const auto at = (r + 1) * columns + c;
@@ -153,22 +164,39 @@ struct Reference {
   }
 };
 
+KERNELS_WIDE
 Reference reference(const Macroblocks& grid, const In<std::int64_t>& stamps,
                     const In<double>& points, const Mat3& K, std::int64_t stamp,
                     const DepartureRules& rules) {
-  std::vector<std::int64_t> cells;
-  std::vector<double> depths;
-  cells.reserve(stamps.size());
-  depths.reserve(stamps.size());
-  for (py::ssize_t i = 0; i < stamps.size(); ++i) {
-    const Vec3 X{points(i, 0), points(i, 1), points(i, 2)};
-    if (!(static_cast<double>(stamp - stamps[i]) >= rules.youngest) || !(X[2] > 0)) continue;
-    const Vec3 x = K * X;
-    if (const auto cell = grid.at(x[0] / x[2], x[1] / x[2]); cell >= 0) {
-      cells.push_back(cell);
-      depths.push_back(1 / X[2]);
+  const auto is_old = [&](py::ssize_t i) {
+    return static_cast<double>(stamp - stamps[i]) >= rules.youngest;
+  };
+  auto n = stamps.size();
+  while (n && !is_old(n - 1)) --n;  // the last are the newest, mostly
+  const Four none = {}, columns = none + static_cast<double>(grid.columns),
+             rows = none + static_cast<double>(grid.rows);
+  const int wide = static_cast<int>(grid.columns);
+  std::vector<int> cells(n + 1);
+  std::vector<double> depths(n + 1);
+  std::size_t known = 0;
+  for (py::ssize_t i = 0; i < n; i += STEP) {
+    const double *a = points.data() + 3 * i, *b = points.data() + 3 * std::min(i + 1, n - 1),
+                 *c = points.data() + 3 * std::min(i + 2, n - 1),
+                 *d = points.data() + 3 * std::min(i + 3, n - 1);
+    const Four3 X{{a[0], b[0], c[0], d[0]}, {a[1], b[1], c[1], d[1]}, {a[2], b[2], c[2], d[2]}};
+    const auto many = std::min(n - i, STEP);
+    const Four3 x = K * X;
+    const Four u = (x.x / x.z + 0.5) / Macroblocks::SIZE, v = (x.y / x.z + 0.5) / Macroblocks::SIZE;
+    const auto seen = (X.z > none) & (u >= none) & (u < columns) & (v >= none) & (v < rows);
+    const Four column = seen ? u : none, row = seen ? v : none, depth = 1 / X.z;
+    for (py::ssize_t k = 0; k < many; ++k) {
+      cells[known] = static_cast<int>(row[k]) * wide + static_cast<int>(column[k]);
+      depths[known] = depth[k];
+      known += (seen[k] != 0) & is_old(i + k);
     }
   }
+  cells.resize(known);
+  depths.resize(known);
   return Reference(grid, cells, depths, rules.least_seen);
 }
 
