@@ -48,6 +48,23 @@ struct Macroblocks {
   std::int64_t columns, rows;
 };
 
+// Writes the stamps of points that are not older than `oldest`, and where they are, X' = R (shrink X)
+// + t, three coordinates at a time.
+KERNELS_WIDE
+void carry(const In<std::int64_t>& stamps, const In<double>& points, std::int64_t oldest,
+           const Mat3& R, const Vec3& t, double shrink, std::int64_t* to_stamps,
+           double* to_points) {
+  const Four x{R[0], R[3], R[6]}, y{R[1], R[4], R[7]}, z{R[2], R[5], R[8]}, way{t[0], t[1], t[2]};
+  for (py::ssize_t i = 0; i < stamps.size(); ++i) {
+    if (stamps[i] < oldest) continue;
+    const double* X = points.data() + 3 * i;
+    const Four moved = x * (shrink * X[0]) + y * (shrink * X[1]) + z * (shrink * X[2]) + way;
+    std::memcpy(to_points, &moved, 3 * sizeof *to_points);
+    to_points += 3;
+    *to_stamps++ = stamps[i];
+  }
+}
+
 // Points (N, 3) and their stamps (N,) in the camera of the next key frame, X' = R X / scale + t,
 // without those that are too old by then.
 py::tuple carry_points(const py::object& stamps_, const py::object& points_, std::int64_t stamp,
@@ -59,16 +76,10 @@ py::tuple carry_points(const py::object& stamps_, const py::object& points_, std
   const Mat3 R = matrix(kernel, "R", R_);
   const Vec3 t = vector(kernel, "t", t_);
   py::ssize_t kept = 0;
-  for (py::ssize_t i = 0; i < stamps.size(); ++i) kept += stamp - stamps[i] <= oldest;
+  for (py::ssize_t i = 0; i < stamps.size(); ++i) kept += stamps[i] >= stamp - oldest;
   Out<std::int64_t> to_stamps({kept});
   Out<double> to_points({kept, 3});
-  py::ssize_t k = 0;
-  for (py::ssize_t i = 0; i < stamps.size(); ++i) {
-    if (stamp - stamps[i] > oldest) continue;
-    const Vec3 X = R * (shrink * Vec3{points(i, 0), points(i, 1), points(i, 2)}) + t;
-    for (int a = 0; a < 3; ++a) to_points(k, a) = X[a];
-    to_stamps[k++] = stamps[i];
-  }
+  carry(stamps, points, stamp - oldest, R, t, shrink, to_stamps.data(), to_points.data());
   return py::make_tuple(to_stamps.array(), to_points.array());
 }
 
