@@ -140,10 +140,9 @@ py::array_t<std::int32_t> paint_cells(std::int64_t width, std::int64_t height,
   BlockGrid grid(width, height);
   std::vector<std::int64_t> those(x.size());
   std::iota(those.begin(), those.end(), 0);
-  grid.paint(x, block, those);
+  grid.paint(x, block, those, [&](std::int64_t i) { return values[i]; });
   Out<std::int32_t> cells({grid.rows(), grid.columns()});
-  for (std::int64_t k = 0; k < grid.size(); ++k)
-    cells[k] = grid.owner(k) < 0 ? -1 : values[grid.owner(k)];
+  std::copy_n(grid.data(), grid.size(), cells.data());
   return cells.array();
 }
 

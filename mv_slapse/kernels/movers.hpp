@@ -71,17 +71,36 @@ class BlockGrid {
  public:
   BlockGrid(std::int64_t width, std::int64_t height)
       : columns_((width + SIZE - 1) / SIZE), rows_((height + SIZE - 1) / SIZE),
-        owner_(columns_ * rows_, -1) {}
+        owner_(columns_ * rows_ + 1, -1) {}
 
   // Paints blocks with their numbers, corner by corner: of one corner the later block wins.
   template <typename X, typename Size>
   void paint(const X& x, const Size& block, const std::vector<std::int64_t>& those) {
-    for (int dx = 0; dx < MACROBLOCK; dx += SIZE)
-      for (int dy = 0; dy < MACROBLOCK; dy += SIZE)
-        for (const auto i : those)
-          if (dx < block(i, 0) && dy < block(i, 1))
-            owner_[at(x(i, 0) - block(i, 0) / 2 + dx + 0.5,
-                      x(i, 1) - block(i, 1) / 2 + dy + 0.5)] = i;
+    paint(x, block, those, [](std::int64_t i) { return static_cast<int>(i); });
+  }
+  // The same with other numbers.
+  template <typename X, typename Size, typename Number>
+  void paint(const X& x, const Size& block, const std::vector<std::int64_t>& those,
+             Number number) {
+    const auto n = those.size();
+    const auto cells_from = [&](int axis, int corner, std::int64_t cells, std::vector<int>& out) {
+      for (std::size_t k = 0; k < n; ++k) {
+        const auto i = those[k];
+        const double size = block(i, axis);
+        out[k] = corner < size ? clipped(x(i, axis) - size / 2 + corner + 0.5, cells) : -1;
+      }
+    };
+    std::vector<int> column(n), upper(n), lower(n);
+    cells_from(1, 0, rows_, upper);
+    cells_from(1, SIZE, rows_, lower);
+    for (int dx = 0; dx < MACROBLOCK; dx += SIZE) {
+      cells_from(0, dx, columns_, column);
+      for (const auto* row : {&upper, &lower})
+        for (std::size_t k = 0; k < n; ++k) {
+          const int r = (*row)[k], c = column[k];
+          owner_[(r | c) < 0 ? size() : r * columns_ + c] = number(those[k]);
+        }
+    }
   }
 
   // The number at a pixel, -1 outside of the picture or where nothing was painted.
@@ -94,20 +113,20 @@ class BlockGrid {
   std::int64_t columns() const { return columns_; }
   std::int64_t rows() const { return rows_; }
   std::int64_t size() const { return columns_ * rows_; }
-  std::int64_t owner(std::int64_t cell) const { return owner_[cell]; }
+  const int* data() const { return owner_.data(); }
 
   static constexpr int SIZE = 8, MACROBLOCK = 16;  // px, as in geometry/blocks.py
 
  private:
+  static int clipped(double at, std::int64_t n) {  // what is not negative is cut down
+    return static_cast<int>(std::min(std::max((at + 0.5) / SIZE, 0.0), n - 1.0));
+  }
   std::int64_t at(double x, double y) const {
-    const auto clipped = [](double at, std::int64_t n) {  // what is not negative is cut down
-      return static_cast<std::int64_t>(std::min(std::max((at + 0.5) / SIZE, 0.0), n - 1.0));
-    };
     return clipped(y, rows_) * columns_ + clipped(x, columns_);
   }
 
   std::int64_t columns_, rows_;
-  std::vector<std::int64_t> owner_;
+  std::vector<int> owner_;  // and one more, which takes what lies nowhere
 };
 
 // Blocks (M,) of one region after the other, and where each begins (R,).
