@@ -336,6 +336,7 @@ class Search {
   std::vector<int> order_;
   Whitened blocks_;
   std::vector<double> x_, y_, squared_, capped_, taken_, inside_;  // capped_: sums up to each block
+  std::vector<double> bound_;  // of each block's squared error on a plane that is near to it
   Cells cells_;
   Components components_;
   std::vector<int> cell_begin_;  // of each cell, by columns: first block in it or after it
@@ -470,6 +471,7 @@ void Search::judge() {
   }
   best_.assign(best.begin(), best.end() - STEP);
   near_.assign(blocks_.n + 1, 0);
+  for (const int w : best_) bound_.push_back(w < 0 ? 0 : is_.cut * is_.cut);
   for (const int w : best_)
     if (w >= 0 && ++windows_[w].judged == is_.judged) judges_.push_back(w);
   gain_of_.assign(windows_.size(), 0.0);
@@ -484,7 +486,6 @@ void Search::gain_of(const Vec3& plane, std::vector<double>& gain) {
 
 // The same of blocks from first to last only, and 0 of others.
 void Search::gain_of(const Vec3& plane, int first, int last, std::vector<double>& gain) {
-  const double near = is_.cut * is_.cut;
   gain.assign(blocks_.n + STEP, 0.0);
   if (first >= last) return;
   // The windows that judge them reach beyond.
@@ -493,11 +494,17 @@ void Search::gain_of(const Vec3& plane, int first, int last, std::vector<double>
   squared_errors(blocks_, begin, end, plane, squared_.data());
   int n = 0;
   double sum = capped_[begin] = 0;
-  for (int i = begin; i < end; ++i) {
-    capped_[i + 1] = sum += std::min(squared_[i], is_.cap);
+  const double cap = is_.cap;
+  const auto sum_up = [&](int from, int to) {
+    for (int i = from; i < to; ++i) capped_[i + 1] = sum += std::min(squared_[i], cap);
+  };
+  sum_up(begin, first);
+  for (int i = first; i < last; ++i) {
+    capped_[i + 1] = sum += std::min(squared_[i], cap);
     near_[n] = i;
-    n += (squared_[i] < near) & (best_[i] >= 0) & (i >= first) & (i < last);
+    n += squared_[i] < bound_[i];
   }
+  sum_up(last, end);
   ++now_;
   for (int k = 0; k < n; ++k) {
     const int w = best_[near_[k]];
@@ -762,8 +769,9 @@ py::tuple find_planes(const py::object& rays, const py::object& rho, const py::o
   std::vector<int> sharp, pairs(times.data(), times.data() + k);
   std::vector<double> noise(n);
   for (int i = 0; i < n; ++i) {
+    if (!may[i] || !(blur[i] < is.max_blur * depth[i])) continue;
     noise[i] = std::hypot(blur[i], is.roughness * depth[i]) + 1e-9;
-    if (may[i] && noise[i] < is.max_blur * depth[i]) sharp.push_back(i);
+    if (noise[i] < is.max_blur * depth[i]) sharp.push_back(i);
   }
   std::vector<Gaussian> known;
   for (py::ssize_t i = 0; i < k; ++i) known.push_back(before[i]);
