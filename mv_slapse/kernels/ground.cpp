@@ -326,6 +326,12 @@ std::vector<Vec3> proposals(const Depths& depths, const std::vector<int>& sample
                    [&](int a, int b) { return depths.x(a, 0) < depths.x(b, 0); });
   std::vector<double> sorted;
   for (const int i : order) sorted.push_back(depths.x(i, 0));
+  std::vector<std::pair<int, int>> beside(depths.size());  // of the order: who lies near in x
+  for (int k = 0, low = 0, high = 0; k < n; ++k) {
+    while (sorted[low] < sorted[k] - radius) ++low;
+    while (high < n && sorted[high] <= sorted[k] + radius) ++high;
+    beside[order[k]] = {low, high};
+  }
   std::vector<Vec3> out;
   for (py::ssize_t trial = 0; trial < draws.size(); ++trial) {
     const int i = sample[static_cast<int>(draws(trial, 0) * n)];
@@ -333,12 +339,10 @@ std::vector<Vec3> proposals(const Depths& depths, const std::vector<int>& sample
   }
   for (py::ssize_t trial = 0; trial < draws.size(); ++trial) {
     const int first = sample[static_cast<int>(draws(trial, 1) * n)];
-    const auto low = std::lower_bound(sorted.begin(), sorted.end(), depths.x(first, 0) - radius),
-               high = std::upper_bound(sorted.begin(), sorted.end(), depths.x(first, 0) + radius);
+    const auto [low, high] = beside[first];
     int triple[3] = {first, -1, -1}, far[2], found = 1, missed = 0;
     for (int k = 2; k < 10 && found < 3; ++k) {
-      const int other = order[low - sorted.begin() +
-                              static_cast<int>(draws(trial, k) * static_cast<double>(high - low))];
+      const int other = order[low + static_cast<int>(draws(trial, k) * (high - low))];
       if (std::abs(depths.x(other, 1) - depths.x(first, 1)) <= radius)
         triple[found++] = other;
       else if (missed < 2)
