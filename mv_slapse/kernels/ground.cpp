@@ -142,7 +142,8 @@ py::tuple find_way(const py::object& rays, const py::object& rho, const py::obje
                         lengths.empty() ? 0.0 : median(lengths));
 }
 
-// How many pixels lie less than `apart` from one along both axes; columns end with LANES that do not.
+// How many pixels lie less than `apart` from one along both axes; columns end with LANES that do
+// not.
 KERNELS_WIDE
 double count_near(const std::vector<double>& x, const std::vector<double>& y, std::size_t one,
                   double apart) {
@@ -150,7 +151,7 @@ double count_near(const std::vector<double>& x, const std::vector<double>& y, st
   const Four none = {}, each = none + 1, far = none + apart;
   for (std::size_t i = 0; i + LANES < x.size(); i += LANES) {
     const Four dx = load(&x[i]) - x[one], dy = load(&y[i]) - y[one];
-    count += (dx < far) & (dx > -far) & (dy < far) & (dy > -far) ? each : none;
+    count += larger(larger(dx, -dx), larger(dy, -dy)) < far ? each : none;
   }
   return sum(count);
 }
@@ -168,10 +169,11 @@ struct Told {
       const Four expected = falls * load(&heights[g]);
       const Four all = variance + rough * expected * expected, miss = depth - expected;
       const Four squared = miss * miss / all;
-      const auto vague = all > blurred * expected * expected;
-      const auto far = squared > none + 64;  // 8 sigma: the density is below rounding
-      store(load(&sums[g]) + (~vague & far ? nothing : none), &sums[g]);
-      const Four near = vague | far ? none : each;
+      const Four known = all > blurred * expected * expected ? none : each;
+      // Beyond 8 sigma the density is below rounding.
+      const Four far = squared > none + 64 ? known : none;
+      const Four near = known - far;
+      store(load(&sums[g]) + (far > none ? nothing : none), &sums[g]);
       if (sum(near) == 0) continue;
       for (std::size_t k = 0; k < LANES; ++k) {
         if (near[k] == 0) continue;

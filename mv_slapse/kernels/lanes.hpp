@@ -48,6 +48,7 @@ KERNELS_INLINE Four at_least(const Four& a, double low) {
   const Four bound = Four{} + low;
   return a > bound ? a : bound;
 }
+KERNELS_INLINE Four larger(const Four& a, const Four& b) { return a > b ? a : b; }
 KERNELS_INLINE Four dot(const Four3& a, const Four3& b) {
   return a.x * b.x + a.y * b.y + a.z * b.z;
 }

@@ -48,8 +48,8 @@ struct Macroblocks {
   std::int64_t columns, rows;
 };
 
-// Writes the stamps of points that are not older than `oldest`, and where they are, X' = R (shrink X)
-// + t, three coordinates at a time.
+// Writes the stamps of points from `oldest` on, and where they are, X' = R (shrink X) + t, three
+// coordinates at a time.
 KERNELS_WIDE
 void carry(const In<std::int64_t>& stamps, const In<double>& points, std::int64_t oldest,
            const Mat3& R, const Vec3& t, double shrink, std::int64_t* to_stamps,

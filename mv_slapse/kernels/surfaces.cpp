@@ -113,8 +113,8 @@ int find_near(const double* x, const double* y, Run run, const double* centre, d
   int n = 0;
   for (int i = run.first; i < run.last; i += STEP) {
     const Four dx = load(x + i) - centre[0], dy = load(y + i) - centre[1];
-    const auto inside = (dx < far) & (dx > -far) & (dy < far) & (dy > -far);
-    const Four own = inside ? before(i, run.last) : none;
+    const Four off = larger(larger(dx, -dx), larger(dy, -dy));
+    const Four own = off < far ? before(i, run.last) : none;
     store(own, near + i);
     fours[n] = i;
     n += sum(own) > 0;
