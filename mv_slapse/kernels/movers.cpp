@@ -24,40 +24,49 @@ struct Pair {
 // Blocks sorted into squares of `reach`, so that neighbours lie in the same one or beside it.
 class Squares {
  public:
-  Squares(const In<double>& x, const std::vector<std::int64_t>& those, double reach)
-      : column_(those.size()), row_(those.size()), sorted_(those.size()) {
+  Squares(const In<double>& x, const std::vector<std::int32_t>& those, double reach)
+      : square_(those.size()), sorted_(those.size()), of_sorted_(those.size()) {
     // What the lens moved out of the picture lies in the squares at its border, or around there.
     const auto index = [reach](double at) {
-      return static_cast<std::int64_t>(std::min(std::max(at / reach + 4, 0.0), 2000.0));
+      return static_cast<std::int32_t>(std::min(2000.0, std::max(1.0, at / reach + 4)));
     };
+    std::vector<std::int32_t> column(those.size());
+    std::int32_t rows = 0;
     for (std::size_t k = 0; k < those.size(); ++k) {
-      column_[k] = index(x(those[k], 0));
-      row_[k] = index(x(those[k], 1));
-      columns_ = std::max(columns_, column_[k] + 1);
-      rows_ = std::max(rows_, row_[k] + 1);
+      column[k] = index(x(those[k], 0));
+      square_[k] = index(x(those[k], 1));
+      columns_ = std::max(columns_, column[k] + 2);  // one more on each side
+      rows = std::max(rows, square_[k] + 2);
     }
-    first_.assign(columns_ * rows_ + 1, 0);
-    for (std::size_t k = 0; k < those.size(); ++k) ++first_[row_[k] * columns_ + column_[k] + 1];
+    first_.assign(columns_ * rows + 2, 0);  // at first those of the square two before
+    for (std::size_t k = 0; k < those.size(); ++k) {
+      square_[k] = square_[k] * columns_ + column[k];
+      ++first_[square_[k] + 2];
+    }
     std::partial_sum(first_.begin(), first_.end(), first_.begin());
-    auto at = first_;
-    for (std::size_t k = 0; k < those.size(); ++k)
-      sorted_[at[row_[k] * columns_ + column_[k]]++] = those[k];
+    for (std::size_t k = 0; k < those.size(); ++k) {
+      const auto at = first_[square_[k] + 1]++;
+      sorted_[at] = those[k];
+      of_sorted_[at] = square_[k];
+    }
   }
 
-  // Calls `visit` with each block in the squares in and around that of the k-th, itself too.
+  const std::vector<std::int32_t>& sorted() const { return sorted_; }
+
+  // Calls `visit` with the place of a block among the sorted and with those of some in the squares
+  // in and around its own, [from, to), so that it meets each pair of blocks once.
   template <typename Visit>
-  void around(std::size_t k, Visit visit) const {
-    const auto left = std::max<std::int64_t>(column_[k] - 1, 0),
-               right = std::min(column_[k] + 1, columns_ - 1);
-    for (auto r = std::max<std::int64_t>(row_[k] - 1, 0); r <= std::min(row_[k] + 1, rows_ - 1);
-         ++r)
-      for (auto at = first_[r * columns_ + left]; at < first_[r * columns_ + right + 1]; ++at)
-        visit(sorted_[at]);
+  void pairs(Visit visit) const {
+    for (std::int32_t at = 0; at < static_cast<std::int32_t>(sorted_.size()); ++at) {
+      const auto right = of_sorted_[at] + 1, below = of_sorted_[at] + columns_;
+      visit(at, at + 1, first_[right + 1]);
+      visit(at, first_[below - 1], first_[below + 2]);
+    }
   }
 
  private:
-  std::int64_t columns_ = 0, rows_ = 0;
-  std::vector<std::int64_t> column_, row_, first_, sorted_;
+  std::int32_t columns_ = 0;
+  std::vector<std::int32_t> square_, first_, sorted_, of_sorted_;
 };
 
 struct RegionRules {
@@ -145,40 +154,52 @@ void judge_singly(const Blocks& blocks, const View& view, const Vec3& ground, do
 
 // Marks the blocks whose vector nothing still explains and a neighbour repeats.
 void mark_copied(const Blocks& blocks, const RegionRules& rules, Field& field) {
-  std::vector<std::int64_t> wrong;
+  std::vector<std::int32_t> wrong;
   for (py::ssize_t i = 0; i < blocks.n; ++i)
-    if (blocks.wrong[i]) wrong.push_back(i);
-  const auto vector = [&](std::int64_t i, int a) { return blocks.x_prev(i, a) - blocks.x(i, a); };
+    if (blocks.wrong[i]) wrong.push_back(static_cast<std::int32_t>(i));
+  const auto vector = [&](std::int32_t i, int a) { return blocks.x_prev(i, a) - blocks.x(i, a); };
   const Squares squares(blocks.x, wrong, rules.reach);
-  for (std::size_t at = 0; at < wrong.size(); ++at) {
-    const auto i = wrong[at];
-    squares.around(at, [&](std::int64_t k) {
-      bool same = k != i;
+  squares.pairs([&](std::int32_t at, std::int32_t from, std::int32_t to) {
+    const auto i = squares.sorted()[at];
+    for (; from < to; ++from) {
+      const auto k = squares.sorted()[from];
+      bool same = true;
       for (int a = 0; a < 2; ++a)
         same &= std::abs(blocks.x(i, a) - blocks.x(k, a)) <= rules.reach &&
                 std::abs(vector(i, a) - vector(k, a)) <= rules.repeated;
-      if (same) field.copied[i] = true;
-    });
-  }
+      if (same) field.copied[i] = field.copied[k] = true;
+    }
+  });
 }
 
-std::vector<Pair> neighbours(const Blocks& blocks, double reach) {
-  std::vector<std::int64_t> all(blocks.n);
-  std::iota(all.begin(), all.end(), 0);
-  const Squares squares(blocks.x, all, reach);
-  std::vector<Pair> pairs(16 * blocks.n);
+// Pairs of neighbours that may belong together. A car before a facade may move as it does for a
+// while: what is a plane stays by itself. A car ahead may move as what is far behind it does; but
+// that is not farther than the ground.
+std::vector<Pair> neighbours(const Blocks& blocks, Field& field, double reach) {
+  struct Block {
+    double x, y;
+    std::int32_t i, kind;
+  };
+  std::vector<std::int32_t> near;
+  for (py::ssize_t i = 0; i < blocks.n; ++i)
+    if (!field.far[i]) near.push_back(static_cast<std::int32_t>(i));
+  const Squares squares(blocks.x, near, reach);
+  std::vector<Block> sorted;
+  for (const auto i : squares.sorted())
+    sorted.push_back({blocks.x(i, 0), blocks.x(i, 1), i, 2 * blocks.plane[i] + field.below[i]});
+  std::vector<Pair> pairs(16 * near.size());
   std::size_t found = 0;
   const double farthest = square(reach);
-  for (py::ssize_t i = 0; i < blocks.n; ++i) {
-    const double x = blocks.x(i, 0), y = blocks.x(i, 1);
-    squares.around(i, [&](std::int64_t k) {
-      if (found == pairs.size()) pairs.resize(2 * found);
+  squares.pairs([&](std::int32_t at, std::int32_t from, std::int32_t to) {
+    if (found + (to - from) > pairs.size()) pairs.resize(2 * found + (to - from));
+    const Block a = sorted[at];
+    for (; from < to; ++from) {
+      const Block& b = sorted[from];
       // Each is written and only those near enough are kept: nothing to mispredict.
-      pairs[found] = {static_cast<std::int32_t>(i), static_cast<std::int32_t>(k)};
-      found += (k > i) &
-               (square(x - blocks.x(k, 0)) + square(y - blocks.x(k, 1)) <= farthest);
-    });
-  }
+      pairs[found] = {std::min(a.i, b.i), std::max(a.i, b.i)};
+      found += (a.kind == b.kind) & (square(a.x - b.x) + square(a.y - b.y) <= farthest);
+    }
+  });
   pairs.resize(found);
   return pairs;
 }
@@ -186,17 +207,12 @@ std::vector<Pair> neighbours(const Blocks& blocks, double reach) {
 // Pairs of neighbours whose vectors are alike, as far as they grow with what comes near.
 std::vector<Pair> alike(const Blocks& blocks, Field& field, bool drives,
                         const RegionRules& rules) {
-  auto pairs = neighbours(blocks, rules.reach);
+  auto pairs = neighbours(blocks, field, rules.reach);
   // Where all vectors are short a pixel would join the whole scene.
   const double slack =
       rules.alike * std::min(std::max(rules.alike_short * median(field.length), 0.5), 1.0);
   const auto differs = [&](const Pair& pair) {
     const auto [a, b] = pair;
-    // A car before a facade may move as it does for a while: what is a plane stays by itself. A
-    // car ahead may move as what is far behind it does; but that is not farther than the ground.
-    if (blocks.plane[a] != blocks.plane[b] || field.far[a] || field.far[b] ||
-        field.below[a] != field.below[b])
-      return true;
     const auto left = [&](double share) {
       double sum = 0;
       for (int k = 0; k < 2; ++k)
