@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "arrays.hpp"
+#include "lanes.hpp"
 #include "movers.hpp"
 #include "small.hpp"
 
@@ -110,45 +111,68 @@ struct Field {
   std::vector<double> growth, length;
 };
 
+// Of four blocks from the i-th on, the last one of all again and again.
+struct FourBlocks {
+  FourBlocks(py::ssize_t i, py::ssize_t n) {
+    for (std::size_t j = 0; j < LANES; ++j) at[j] = std::min<py::ssize_t>(i + j, n - 1);
+  }
+  KERNELS_INLINE Four operator()(const In<double>& of) const {
+    return Four{of[at[0]], of[at[1]], of[at[2]], of[at[3]]};
+  }
+  KERNELS_INLINE Four operator()(const In<double>& of, int a) const {
+    return Four{of(at[0], a), of(at[1], a), of(at[2], a), of(at[3], a)};
+  }
+  std::array<py::ssize_t, LANES> at;
+};
+
 // Judges the blocks singly: inverse depth along the epipolar line, whether it is the ground's.
+KERNELS_WIDE
 void judge_singly(const Blocks& blocks, const View& view, const Vec3& ground, double nearer,
                   const RegionRules& rules, Field& field) {
-  const Vec3& t = view.t;
+  const Mat3 K_inverse = view.inverse_K, R = view.R, R_back = transposed(R);
+  const Vec3 t = view.t;
   const double focal[2] = {view.K[0], view.K[4]};
-  const Mat3 R_back = transposed(view.R);
-  const bool drives = view.drives();
-  for (py::ssize_t i = 0; i < blocks.n; ++i) {
-    const Vec3 ray = view.inverse_K * Vec3{blocks.x(i, 0), blocks.x(i, 1), 1};
-    const Vec3 before = view.inverse_K * Vec3{blocks.x_prev(i, 0), blocks.x_prev(i, 1), 1};
-    const Vec3 turned = view.R * before;
-    double along = 0, length = 0;
-    for (int a = 0; a < 2; ++a) {
-      const double y = turned[a] / turned[2], g = (t[a] - y * t[2]) * focal[a];
-      field.parallax(i, a) = (ray[a] - y) * focal[a];
-      along += field.parallax(i, a) * g;
-      length += g * g;
-    }
-    length = std::max(std::sqrt(length), 1e-9);
-    const double rho = along / square(length);
-    const double noise = std::abs(1 - rho * t[2]) / length * blocks.sigma[i];
+  const double shortest = view.drives() ? rules.far : rules.resting;
+  const Four one = Four{} + 1;
+  for (py::ssize_t i = 0; i < blocks.n; i += LANES) {
+    const FourBlocks four(i, blocks.n);
+    const Four sigma = four(blocks.sigma);
+    const Four3 ray = K_inverse * Four3{four(blocks.x, 0), four(blocks.x, 1), one};
+    const Four3 before = K_inverse * Four3{four(blocks.x_prev, 0), four(blocks.x_prev, 1), one};
+    const Four3 turned = R * before;
+    const Four y[2] = {turned.x / turned.z, turned.y / turned.z};
+    const Four g[2] = {(t[0] - y[0] * t[2]) * focal[0], (t[1] - y[1] * t[2]) * focal[1]};
+    const Four parallax[2] = {(ray.x - y[0]) * focal[0], (ray.y - y[1]) * focal[1]};
+    const Four length = at_least(root(g[0] * g[0] + g[1] * g[1]), 1e-9);
+    const Four rho = (parallax[0] * g[0] + parallax[1] * g[1]) / (length * length);
+    const Four noise = magnitude(1 - rho * t[2]) / length * sigma;
     // The distance from the epipolar line, (5) of [MVO], in standard deviations.
-    const Vec3 line = R_back * cross(ray, t);
-    const double error = std::abs(dot(before, line)) / blocks.sigma[i] /
-                         std::max(std::hypot(line[0] / focal[0], line[1] / focal[1]), 1e-12);
-    const double under = -dot(ray, ground), slack = 3 * noise + rules.on_ground * under;
+    const Four3 line = R_back * cross(ray, t);
+    const Four across = at_least(hypotenuse(line.x / focal[0], line.y / focal[1]), 1e-12);
+    const Four error = magnitude(dot(before, line)) / sigma / across;
+    const Four under = -dot(ray, ground), slack = 3 * noise + rules.on_ground * under;
     // The lower rows of a car that starts look as far as the road before it.
-    field.ground_like[i] = under > 0 && error < 4 && rho - under > -slack &&
-                           rho - nearer * under < slack && blocks.departure[i] <= 0;
-    field.length[i] = std::hypot(field.parallax(i, 0), field.parallax(i, 1));
-    field.far[i] = under <= 0 && field.length[i] < (drives ? rules.far : rules.resting);
-    field.fits[i] = error < rules.fits;
-    field.below[i] = rho + 2 * noise < rules.below_ground * under;
+    const auto ground_like = (under > 0) & (error < 4) & (rho - under > -slack) &
+                             (rho - nearer * under < slack) & (four(blocks.departure) <= 0);
+    const Four moved = hypotenuse(parallax[0], parallax[1]);
+    const auto far = (under <= 0) & (moved < shortest), fits = error < rules.fits,
+               below = rho + 2 * noise < rules.below_ground * under;
     // What moves against the flow shows no depth.
-    const double nearing = std::max(-t[2] * std::max(rho, 0.0), -rules.receding);
-    field.growth[i] = nearing / (1 + nearing);
-    field.rho[i] = rho;
-    field.noise[i] = noise;
-    field.under[i] = under;
+    const Four nearing = at_least(-t[2] * at_least(rho, 0), -rules.receding);
+    const Four growth = nearing / (1 + nearing);
+    for (std::size_t j = 0; j < LANES; ++j) {
+      const auto k = four.at[j];
+      for (int a = 0; a < 2; ++a) field.parallax(k, a) = parallax[a][j];
+      field.ground_like[k] = ground_like[j];
+      field.length[k] = moved[j];
+      field.far[k] = far[j];
+      field.fits[k] = fits[j];
+      field.below[k] = below[j];
+      field.growth[k] = growth[j];
+      field.rho[k] = rho[j];
+      field.noise[k] = noise[j];
+      field.under[k] = under[j];
+    }
   }
 }
 
