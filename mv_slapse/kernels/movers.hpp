@@ -60,10 +60,10 @@ inline void check_first(const char* kernel, const In<std::int64_t>& first, py::s
 
 inline double median(std::vector<double> values) {
   if (values.empty()) return 0;
-  const auto middle = values.begin() + values.size() / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  if (values.size() % 2) return *middle;
-  return 0.5 * (*middle + *std::max_element(values.begin(), middle));
+  const auto half = values.size() / 2;
+  const double middle = nth_smallest(values.data(), values.size(), half);
+  if (values.size() % 2) return middle;
+  return 0.5 * (middle + *std::max_element(values.begin(), values.begin() + half));
 }
 
 // The grid of the smallest blocks, and who covers it.

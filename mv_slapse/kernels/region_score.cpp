@@ -19,8 +19,7 @@ constexpr int N = 5;  // unknowns of a moving surface: rate (3) and slope (2)
 // The value below which a share of some values lies; they change their order.
 double rank(std::vector<double>& values, double share) {
   const auto at = static_cast<std::size_t>(std::nearbyint(share * (values.size() - 1.0)));
-  std::nth_element(values.begin(), values.begin() + at, values.end());
-  return values[at];
+  return nth_smallest(values.data(), values.size(), at);
 }
 
 // Blocks of one region.

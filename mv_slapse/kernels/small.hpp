@@ -91,6 +91,37 @@ inline Mat3 rotation_exp(const Vec3& w) {
   return R;
 }
 
+// What lies at a place of n values, at least one, once they are sorted; as after std::nth_element
+// those before it are no greater. Values move without branches, which a processor mispredicts.
+template <typename T>
+T nth_smallest(T* from, std::size_t n, std::size_t at) {
+  const auto move_ahead = [&](const auto& belongs) {
+    std::size_t moved = 0;
+    for (std::size_t i = 0; i < n; ++i) {
+      const T value = from[i];
+      from[i] = from[moved];
+      from[moved] = value;
+      moved += belongs(value);
+    }
+    return moved;
+  };
+  while (n > 1) {
+    const T a = from[0], b = from[n / 2], c = from[n - 1];
+    const T pivot = std::max(std::min(a, b), std::min(std::max(a, b), c));
+    const auto less = move_ahead([pivot](T value) { return value < pivot; });
+    if (at < less) {
+      n = less;
+      continue;
+    }
+    from += less, n -= less, at -= less;
+    if (less) continue;
+    const auto equal = move_ahead([pivot](T value) { return !(pivot < value); });
+    if (at < equal) return pivot;
+    from += equal, n -= equal, at -= equal;
+  }
+  return *from;
+}
+
 // Eigenvalues in rising order and eigenvectors (columns) of a symmetric matrix, by Jacobi rotations.
 inline void eigen_symmetric(const Mat3& symmetric, Vec3& values, Mat3& vectors) {
   Mat3 A = symmetric;
