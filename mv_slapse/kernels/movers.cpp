@@ -196,32 +196,44 @@ void mark_copied(const Blocks& blocks, const RegionRules& rules, Field& field) {
   });
 }
 
-// Pairs of neighbours that may belong together. A car before a facade may move as it does for a
-// while: what is a plane stays by itself. A car ahead may move as what is far behind it does; but
-// that is not farther than the ground.
-std::vector<Pair> neighbours(const Blocks& blocks, Field& field, double reach) {
-  struct Block {
-    double x, y;
-    std::int32_t i, kind;
-  };
-  std::vector<std::int32_t> near;
-  for (py::ssize_t i = 0; i < blocks.n; ++i)
-    if (!field.far[i]) near.push_back(static_cast<std::int32_t>(i));
-  const Squares squares(blocks.x, near, reach);
-  std::vector<Block> sorted;
+// A block that is not far, as its neighbours see it.
+struct Neighbour {
+  double x[2], parallax[2], length, growth;
+  std::int32_t i, kind;  // its number, and what it has in common with those it may belong to
+};
+
+// Blocks beside each other by the squares they lie in. A car before a facade may move as it does
+// for a while: what is a plane stays by itself. A car ahead may move as what is far behind it does;
+// but that is not farther than the ground.
+std::vector<Neighbour> neighbours(const Blocks& blocks, Field& field, const Squares& squares) {
+  std::vector<Neighbour> out;
+  out.reserve(squares.sorted().size());
   for (const auto i : squares.sorted())
-    sorted.push_back({blocks.x(i, 0), blocks.x(i, 1), i, 2 * blocks.plane[i] + field.below[i]});
-  std::vector<Pair> pairs(16 * near.size());
+    out.push_back({{blocks.x(i, 0), blocks.x(i, 1)},
+                   {field.parallax(i, 0), field.parallax(i, 1)},
+                   field.length[i],
+                   field.growth[i],
+                   i,
+                   2 * blocks.plane[i] + field.below[i]});
+  return out;
+}
+
+// Pairs of them that may belong together.
+std::vector<Pair> near_pairs(const std::vector<Neighbour>& blocks, const Squares& squares,
+                             double reach) {
+  std::vector<Pair> pairs(4 * blocks.size());
   std::size_t found = 0;
   const double farthest = square(reach);
   squares.pairs([&](std::int32_t at, std::int32_t from, std::int32_t to) {
     if (found + (to - from) > pairs.size()) pairs.resize(2 * found + (to - from));
-    const Block a = sorted[at];
+    const double x = blocks[at].x[0], y = blocks[at].x[1];
+    const auto kind = blocks[at].kind;
     for (; from < to; ++from) {
-      const Block& b = sorted[from];
+      const Neighbour& other = blocks[from];
       // Each is written and only those near enough are kept: nothing to mispredict.
-      pairs[found] = {std::min(a.i, b.i), std::max(a.i, b.i)};
-      found += (a.kind == b.kind) & (square(a.x - b.x) + square(a.y - b.y) <= farthest);
+      pairs[found] = {at, from};
+      found += (kind == other.kind) &
+               (square(x - other.x[0]) + square(y - other.x[1]) <= farthest);
     }
   });
   pairs.resize(found);
@@ -231,74 +243,99 @@ std::vector<Pair> neighbours(const Blocks& blocks, Field& field, double reach) {
 // Pairs of neighbours whose vectors are alike, as far as they grow with what comes near.
 std::vector<Pair> alike(const Blocks& blocks, Field& field, bool drives,
                         const RegionRules& rules) {
-  auto pairs = neighbours(blocks, field, rules.reach);
+  std::vector<std::int32_t> near;
+  for (py::ssize_t i = 0; i < blocks.n; ++i)
+    if (!field.far[i]) near.push_back(static_cast<std::int32_t>(i));
+  const Squares squares(blocks.x, near, rules.reach);
+  const auto beside = neighbours(blocks, field, squares);
+  auto pairs = near_pairs(beside, squares, rules.reach);
   // Where all vectors are short a pixel would join the whole scene.
   const double slack =
       rules.alike * std::min(std::max(rules.alike_short * median(field.length), 0.5), 1.0);
-  const auto differs = [&](const Pair& pair) {
-    const auto [a, b] = pair;
-    const auto left = [&](double share) {
-      double sum = 0;
-      for (int k = 0; k < 2; ++k)
-        sum += square(field.parallax(a, k) - field.parallax(b, k) -
-                      share * (blocks.x(a, k) - blocks.x(b, k)));
-      return std::sqrt(sum);
-    };
-    const double longer = std::max(field.length[a], field.length[b]);
-    if (left(0) < slack + rules.alike_share * longer) return false;
-    const double grown = slack + rules.alike_grown * longer;
-    if (drives)
-      return left(std::abs(field.growth[a]) < std::abs(field.growth[b]) ? field.growth[a]
-                                                                        : field.growth[b]) >= grown;
-    // What comes near a standing camera grows by itself: its vectors part as its blocks lie.
-    double along = 0, apart = 1e-9;
-    for (int k = 0; k < 2; ++k) {
-      const double off = blocks.x(a, k) - blocks.x(b, k);
-      along += (field.parallax(a, k) - field.parallax(b, k)) * off;
-      apart += square(off);
-    }
-    return left(std::min(std::max(along / apart, 0.0), rules.own_growth)) >= grown;
+  // How far vectors differ but for what grows with the distance of their blocks.
+  const auto left_of = [](const Neighbour& a, const Neighbour& b, double share) {
+    double sum = 0;
+    for (int k = 0; k < 2; ++k)
+      sum += square(a.parallax[k] - b.parallax[k] - share * (a.x[k] - b.x[k]));
+    return std::sqrt(sum);
   };
-  pairs.erase(std::remove_if(pairs.begin(), pairs.end(), differs), pairs.end());
-  // What has left where it stood is no part of what stands there, behind it or above it.
-  std::vector<int> left(blocks.n);
-  const auto sign = [&](std::int64_t i) {
-    return (blocks.departure[i] > 0) - (blocks.departure[i] < 0);
-  };
-  for (py::ssize_t i = 0; i < blocks.n; ++i) left[i] = sign(i);
-  for (const auto& [a, b] : pairs) {
-    left[a] += sign(b);
-    left[b] += sign(a);
+  std::vector<Pair> unlike(pairs.size());
+  std::size_t kept = 0, others = 0;
+  for (const auto [k, l] : pairs) {
+    const Neighbour &a = beside[k], &b = beside[l];
+    const bool same =
+        left_of(a, b, 0) < slack + rules.alike_share * std::max(a.length, b.length);
+    pairs[kept] = unlike[others] = {k, l};
+    kept += same;
+    others += !same;
   }
-  pairs.erase(std::remove_if(pairs.begin(), pairs.end(),
-                             [&](const Pair& pair) {
-                               return (left[pair.a] > 0) != (left[pair.b] > 0);
-                             }),
-              pairs.end());
+  unlike.resize(others);
+  for (const auto [k, l] : unlike) {
+    const Neighbour &a = beside[k], &b = beside[l];
+    double share = std::abs(a.growth) < std::abs(b.growth) ? a.growth : b.growth;
+    if (!drives) {
+      // What comes near a standing camera grows by itself: its vectors part as its blocks lie.
+      double along = 0, apart = 1e-9;
+      for (int axis = 0; axis < 2; ++axis) {
+        const double off = a.x[axis] - b.x[axis];
+        along += (a.parallax[axis] - b.parallax[axis]) * off;
+        apart += square(off);
+      }
+      share = std::min(std::max(along / apart, 0.0), rules.own_growth);
+    }
+    if (left_of(a, b, share) < slack + rules.alike_grown * std::max(a.length, b.length))
+      pairs[kept++] = {k, l};
+  }
+  pairs.resize(kept);
+  // What has left where it stood is no part of what stands there, behind it or above it.
+  std::vector<int> sign(beside.size()), left;
+  for (std::size_t k = 0; k < beside.size(); ++k) {
+    const double departure = blocks.departure[beside[k].i];
+    sign[k] = (departure > 0) - (departure < 0);
+  }
+  left = sign;
+  for (const auto& [a, b] : pairs) {
+    left[a] += sign[b];
+    left[b] += sign[a];
+  }
+  // Those of a pair belong together where both stay or both have left, and neither is the ground.
+  std::vector<std::uint8_t> part(beside.size());
+  for (std::size_t k = 0; k < beside.size(); ++k)
+    part[k] = field.ground_like[beside[k].i] ? 0 : left[k] > 0 ? 2 : 1;
+  kept = 0;
+  for (const auto [a, b] : pairs) {
+    const bool together = part[a] & part[b];
+    pairs[kept] = {beside[a].i, beside[b].i};
+    kept += together;
+  }
+  pairs.resize(kept);
   return pairs;
 }
 
-std::int64_t root(std::vector<std::int64_t>& parent, std::int64_t i) {
+std::int32_t root(std::vector<std::int32_t>& parent, std::int32_t i) {
   while (parent[i] != i) i = parent[i] = parent[parent[i]];
   return i;
 }
 
-// Connected sets of blocks that do not move as the ground does, by rising first block; returns their
-// blocks and their starts.
+// Connected sets of blocks that do not move as the ground does, by rising first block; returns
+// their blocks and their starts.
 py::tuple connected(const Blocks& blocks, Field& field, const std::vector<Pair>& pairs,
                     const RegionRules& rules) {
-  std::vector<std::int64_t> parent(blocks.n), size(blocks.n), at(blocks.n, -1), start;
+  std::vector<std::int32_t> parent(blocks.n);
+  std::vector<std::int64_t> size(blocks.n), at(blocks.n, -1), start;
   std::vector<double> area(blocks.n);
   std::iota(parent.begin(), parent.end(), 0);
-  for (const auto& [a, b] : pairs)
-    if (!field.ground_like[a] && !field.ground_like[b]) {
-      const auto one = root(parent, a), other = root(parent, b);
-      parent[std::max(one, other)] = std::min(one, other);
-    }
+  for (const auto& [a, b] : pairs) {
+    if (parent[a] == parent[b]) continue;
+    const auto one = root(parent, a), other = root(parent, b);
+    parent[std::max(one, other)] = std::min(one, other);
+  }
+  // No parent comes after its children.
+  for (auto& of : parent) of = parent[of];
   const auto counts = [&](py::ssize_t i) { return !field.ground_like[i] && !field.far[i]; };
   for (py::ssize_t i = 0; i < blocks.n; ++i)
     if (counts(i)) {
-      const auto first = root(parent, i);
+      const auto first = parent[i];
       size[first] += 1;
       area[first] += blocks.block(i, 0) * blocks.block(i, 1) / square(rules.macroblock);
     }
@@ -313,7 +350,7 @@ py::tuple connected(const Blocks& blocks, Field& field, const std::vector<Pair>&
   std::copy(start.begin(), start.end(), first.data());
   for (py::ssize_t i = 0; i < blocks.n; ++i)
     if (counts(i))
-      if (auto& next = at[root(parent, i)]; next >= 0) members[next++] = i;
+      if (auto& next = at[parent[i]]; next >= 0) members[next++] = i;
   return py::make_tuple(members.array(), first.array());
 }
 
