@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "arrays.hpp"
+#include "lanes.hpp"
 #include "movers.hpp"
 #include "small.hpp"
 
@@ -16,16 +17,32 @@ namespace {
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 constexpr int N = 5;  // unknowns of a moving surface: rate (3) and slope (2)
 
-// The value below which a share of some values lies; they change their order.
-double rank(std::vector<double>& values, double share) {
-  const auto at = static_cast<std::size_t>(std::nearbyint(share * (values.size() - 1.0)));
-  return nth_smallest(values.data(), values.size(), at);
+// The place of the value below which a share of n sorted ones lies.
+std::size_t place(double share, std::size_t n) {
+  return static_cast<std::size_t>(std::nearbyint(share * (n - 1.0)));
 }
+
+// That value; they change their order.
+double rank(std::vector<double>& values, double share) {
+  return nth_smallest(values.data(), values.size(), place(share, values.size()));
+}
+
+// Columns of the blocks of all regions, with some more at the end that count nothing.
+struct FittedBlocks {
+  explicit FittedBlocks(std::size_t n)
+      : ray{Column(n + LANES), Column(n + LANES)}, x_prev{Column(n + LANES), Column(n + LANES)},
+        sigma(n + LANES, 1.0) {}
+  using Column = std::vector<double>;
+  Column ray[2], x_prev[2], sigma;
+};
 
 // Blocks of one region.
 struct Region {
-  const double *rays, *x_prev, *sigma;  // (n, 2), (n, 2), (n,)
-  py::ssize_t n;
+  Region(const FittedBlocks& all, std::size_t begin, std::size_t count)
+      : ray{&all.ray[0][begin], &all.ray[1][begin]},
+        x_prev{&all.x_prev[0][begin], &all.x_prev[1][begin]}, sigma(&all.sigma[begin]), n(count) {}
+  const double *ray[2], *x_prev[2], *sigma;
+  std::size_t n;
 };
 
 struct Surface {
@@ -37,25 +54,88 @@ struct FitRules {
   double iterations, converged, inlier, yaw_sigma, upright_sigma;
 };
 
-// Error of one block and its derivatives by rate and slope, (11) of [MVO], in standard deviations.
-struct Row {
-  double error[2], by[2][N];
+// Errors of four blocks, (11) of [MVO], in standard deviations, and what leads to them.
+struct Errors {
+  KERNELS_INLINE Errors(const Region& region, std::size_t i, const Surface& s, const Mat3& KR) {
+    const double* g = s.theta;
+    const Four ray[2] = {load(region.ray[0] + i), load(region.ray[1] + i)};
+    for (int a = 0; a < 2; ++a) off[a] = ray[a] - s.centre[a];
+    w = 1 + (off[0] * s.theta[3] + off[1] * s.theta[4]);
+    const Four3 p = KR * Four3{ray[0] - w * g[0], ray[1] - w * g[1], 1 - w * g[2]};
+    const Four sigma = load(region.sigma + i);
+    at[0] = p.x / p.z;
+    at[1] = p.y / p.z;
+    scale = 1 / (p.z * sigma);
+    for (int a = 0; a < 2; ++a) error[a] = (load(region.x_prev[a] + i) - at[a]) / sigma;
+  }
+  KERNELS_INLINE Four squared() const { return error[0] * error[0] + error[1] * error[1]; }
+  Four off[2], w, at[2], scale, error[2];
 };
 
-// `Kg` is KR times the rate.
-Row row_of(const Region& region, py::ssize_t i, const Surface& s, const Mat3& KR, const Vec3& Kg) {
-  const double *ray = region.rays + 2 * i, *g = s.theta;
-  const double off[2] = {ray[0] - s.centre[0], ray[1] - s.centre[1]};
-  const double w = 1 + (off[0] * s.theta[3] + off[1] * s.theta[4]);
-  const Vec3 p = KR * Vec3{ray[0] - w * g[0], ray[1] - w * g[1], 1 - w * g[2]};
-  Row row;
-  for (int a = 0; a < 2; ++a) {
-    const double at = p[a] / p[2], scale = 1 / (p[2] * region.sigma[i]);
-    row.error[a] = (region.x_prev[2 * i + a] - at) / region.sigma[i];
-    for (int k = 0; k < 3; ++k) row.by[a][k] = -w * (KR[3 * a + k] - at * KR[6 + k]) * scale;
-    for (int k = 0; k < 2; ++k) row.by[a][3 + k] = -(Kg[a] - at * Kg[2]) * off[k] * scale;
+KERNELS_WIDE
+void squared_errors(const Region& region, const Surface& s, const Mat3& KR, double* squared) {
+  for (std::size_t i = 0; i < region.n; i += LANES)
+    store(Errors(region, i, s, KR).squared(), squared + i);
+}
+
+// Errors of one block and their derivatives by rate and slope: by the first four unknowns, and by
+// the last one with the error itself.
+struct Row {
+  double by[2][4], by_last[2], error[2];
+};
+
+// Rows and squared errors of whole lanes of blocks.
+KERNELS_WIDE
+void rows_of(const Region& region, const Surface& s, const Mat3& KR, Row* rows, double* squared) {
+  const Vec3 Kg = KR * s.rate();
+  for (std::size_t i = 0; i < region.n; i += LANES) {
+    const Errors is(region, i, s, KR);
+    store(is.squared(), squared + i);
+    Four last[2];
+    for (int a = 0; a < 2; ++a) {
+      Four by[4];
+      for (int k = 0; k < 3; ++k)
+        by[k] = -is.w * (KR[3 * a + k] - is.at[a] * KR[6 + k]) * is.scale;
+      const Four tilt = -(Kg[a] - is.at[a] * Kg[2]);
+      by[3] = tilt * is.off[0] * is.scale;
+      last[a] = tilt * is.off[1] * is.scale;
+      for (std::size_t j = 0; j < LANES; ++j)
+        store(Four{by[0][j], by[1][j], by[2][j], by[3][j]}, rows[i + j].by[a]);
+    }
+    for (std::size_t j = 0; j < LANES; ++j)
+      store(Four{last[0][j], last[1][j], is.error[0][j], is.error[1][j]}, rows[i + j].by_last);
   }
-  return row;
+}
+
+// Sums of rows with the weights of Geman and McClure for a width: normal matrix, lower triangle,
+// and slope.
+KERNELS_WIDE
+void add_up(const Row* rows, double* squared, std::size_t n, double width, double* normal,
+            double* slope) {
+  for (std::size_t i = 0; i < n; i += LANES) {
+    const Four share = 1 + load(squared + i) / width;
+    store(1 / (share * share), squared + i);
+  }
+  // Four sums at a time, of which each goes from block to block.
+  Four columns[4]{}, last{}, slopes{};
+  double corner = 0, slope_last = 0;
+  for (std::size_t i = 0; i < n; ++i)
+    for (int a = 0; a < 2; ++a) {
+      const Four by = load(rows[i].by[a]), weighted = squared[i] * by;
+      const double by_last = rows[i].by_last[a], weighted_last = squared[i] * by_last;
+      for (int k = 0; k < 4; ++k) columns[k] += weighted * rows[i].by[a][k];
+      last += weighted_last * by;
+      corner += weighted_last * by_last;
+      slopes += weighted * rows[i].error[a];
+      slope_last += weighted_last * rows[i].error[a];
+    }
+  for (int j = 0; j < 4; ++j) {
+    for (int k = 0; k <= j; ++k) normal[j * N + k] = columns[k][j];
+    normal[4 * N + j] = last[j];
+    slope[j] = slopes[j];
+  }
+  normal[4 * N + 4] = corner;
+  slope[4] = slope_last;
 }
 
 // Adds the priors: surfaces of vehicles and people are upright, of any yaw; a growth of 1 in a
@@ -80,43 +160,33 @@ void add_priors(const Vec3& down, const FitRules& rules, const Surface& s, doubl
 // Robust Gauss-Newton, (12) of [MVO], with the weights of Geman and McClure: a vector far off
 // counts for nothing. While the start is bad the kernel is as wide as what half of them reach.
 Surface fitted(const Region& region, const Mat3& KR, const Mat3& R, const Mat3& K_inverse,
-               const Vec3& down, const FitRules& rules, std::vector<double>& work) {
+               const Vec3& down, const FitRules& rules) {
   Surface s;
-  work.resize(region.n);
+  std::vector<double> shift[2], work;
   for (int a = 0; a < 2; ++a) {
-    for (py::ssize_t i = 0; i < region.n; ++i) work[i] = region.rays[2 * i + a];
+    work.assign(region.ray[a], region.ray[a] + region.n);
     // The middle of the range does not move, as a mean does, with a few blocks lost on one side.
     const double low = rank(work, 0.05);
     s.centre[a] = 0.5 * (low + rank(work, 0.95));
+    shift[a].resize(region.n);
   }
-  for (int a = 0; a < 2; ++a) {
-    for (py::ssize_t i = 0; i < region.n; ++i) {
-      const Vec3 y = R * (K_inverse * Vec3{region.x_prev[2 * i], region.x_prev[2 * i + 1], 1});
-      work[i] = region.rays[2 * i + a] - y[a] / y[2];
-    }
-    s.theta[a] = rank(work, 0.5);
+  for (std::size_t i = 0; i < region.n; ++i) {
+    const Vec3 y = R * (K_inverse * Vec3{region.x_prev[0][i], region.x_prev[1][i], 1});
+    for (int a = 0; a < 2; ++a) shift[a][i] = region.ray[a][i] - y[a] / y[2];
   }
-  std::vector<Row> rows(region.n);
-  std::vector<double> squared(region.n);
+  for (int a = 0; a < 2; ++a) s.theta[a] = rank(shift[a], 0.5);
+  std::vector<Row> rows(region.n + LANES);
+  std::vector<double> squared(region.n + LANES);
   for (int step = 0; step < rules.iterations; ++step) {
-    const Vec3 Kg = KR * s.rate();
-    for (py::ssize_t i = 0; i < region.n; ++i) {
-      rows[i] = row_of(region, i, s, KR, Kg);
-      squared[i] = square(rows[i].error[0]) + square(rows[i].error[1]);
+    rows_of(region, s, KR, rows.data(), squared.data());
+    double width = 2 * square(rules.inlier), slope[N], change[N], factor[N * N];
+    std::size_t within = 0;
+    for (std::size_t i = 0; i < region.n; ++i) within += 4 * squared[i] <= width;
+    if (within <= place(0.5, region.n)) {
+      work.assign(squared.begin(), squared.begin() + region.n);
+      width = std::max(width, 4 * rank(work, 0.5));
     }
-    work = squared;
-    const double width = std::max(2 * square(rules.inlier), 4 * rank(work, 0.5));
-    double slope[N]{}, normal[N * N]{}, change[N], factor[N * N];
-    for (py::ssize_t i = 0; i < region.n; ++i) {
-      const double weight = 1 / square(1 + squared[i] / width);
-      for (int a = 0; a < 2; ++a)
-        for (int j = 0; j < N; ++j) {
-          const double weighted = weight * rows[i].by[a][j];
-          slope[j] += weighted * rows[i].error[a];
-          for (int k = 0; k <= j; ++k) normal[j * N + k] += weighted * rows[i].by[a][k];
-        }
-    }
-    std::copy_n(normal, N * N, s.normal);
+    add_up(rows.data(), squared.data(), region.n, width, s.normal, slope);
     add_priors(down, rules, s, s.normal, slope);
     for (int j = 0; j < N; ++j)
       for (int k = 0; k < j; ++k) s.normal[k * N + j] = s.normal[j * N + k];
@@ -154,26 +224,27 @@ py::tuple fit_moving_surfaces(const py::object& x, const py::object& x_prev,
   Out<double> theta({regions, N}), covariance({regions, N, N}), centre({regions, 2}),
       variance({regions});
   Out<bool> inlier({at.size()});
-  std::vector<double> rays(2 * at.size()), work;
+  FittedBlocks blocks(at.size());
   for (py::ssize_t i = 0; i < at.size(); ++i) {
     const Vec3 ray = K_inverse * Vec3{at(i, 0), at(i, 1), 1};
-    rays[2 * i] = ray[0];
-    rays[2 * i + 1] = ray[1];
+    for (int a = 0; a < 2; ++a) {
+      blocks.ray[a][i] = ray[a];
+      blocks.x_prev[a][i] = before(i, a);
+    }
+    blocks.sigma[i] = noise[i];
   }
+  std::vector<double> squared(at.size() + LANES);
   for (py::ssize_t r = 0; r < regions; ++r) {
     const auto begin = starts[r], end = r + 1 < regions ? starts[r + 1] : at.size();
-    const Region region{rays.data() + 2 * begin, before.data() + 2 * begin, noise.data() + begin,
-                        end - begin};
-    const Surface s = fitted(region, KR, R, K_inverse, down, rules, work);
-    const Vec3 Kg = KR * s.rate();
+    const Region region(blocks, begin, end - begin);
+    const Surface s = fitted(region, KR, R, K_inverse, down, rules);
+    squared_errors(region, s, KR, squared.data());
     double sum = 0, n = 0;
-    for (py::ssize_t i = 0; i < region.n; ++i) {
-      const Row row = row_of(region, i, s, KR, Kg);
-      const double squared = square(row.error[0]) + square(row.error[1]);
-      inlier[begin + i] = squared < 2 * square(rules.inlier);
+    for (std::size_t i = 0; i < region.n; ++i) {
+      inlier[begin + i] = squared[i] < 2 * square(rules.inlier);
       if (!inlier[begin + i]) continue;
       n += 1;
-      sum += squared;
+      sum += squared[i];
     }
     double factor[N * N];
     std::copy_n(s.normal, N * N, factor);
