@@ -112,26 +112,38 @@ double unevenness(const Seen& seen, const BodyRules& rules) {
 class Columns {
  public:
   Columns(const Seen& seen, const Grid& before, const BodyRules& rules)
-      : seen_(seen), rules_(rules), uneven_(unevenness(seen, rules)), columns_(before.columns()),
-        depths_(before.depths), told_(before.told), lasting_(told_.size()), foot_(told_.size()) {
+      : rules_(rules), blocks_(seen.at.size()), column_(before.columns()), depths_(before.depths),
+        told_(before.told), lasting_(told_.size()), foot_(told_.size()) {
+    const double uneven = unevenness(seen, rules);
     auto lowest = seen.at.front(), highest = lowest;
-    ground_.resize(1 + *std::max_element(seen.at.begin(), seen.at.end()));
-    for (const auto i : seen.at) {
-      ground_[i] = misfit(seen.rho[i], seen.sigma[i], seen.under[i], uneven_);
+    std::vector<std::size_t> at(column_.size()), of(seen.at.size());
+    for (std::size_t k = 0; k < seen.at.size(); ++k) {
+      const auto i = seen.at[k];
       if (seen.under[i] > seen.under[lowest]) lowest = i;
       if (seen.under[i] < seen.under[highest]) highest = i;
       const auto column = static_cast<std::int64_t>(seen.x[2 * i] / BlockGrid::MACROBLOCK);
-      columns_[std::min<std::int64_t>(std::max<std::int64_t>(column, 0), columns_.size() - 1)]
-          .push_back(i);
+      of[k] = std::min<std::int64_t>(std::max<std::int64_t>(column, 0), column_.size() - 1);
+      ++at[of[k]];
     }
-    for (auto& column : columns_)
-      std::stable_sort(column.begin(), column.end(), [&](std::int64_t i, std::int64_t k) {
-        return seen.x[2 * i + 1] < seen.x[2 * k + 1];
-      });
+    for (std::size_t c = 0, begin = 0; c < column_.size(); ++c) {
+      column_[c] = {begin, begin + at[c]};
+      at[c] = begin;
+      begin = column_[c].end;
+    }
+    for (std::size_t k = 0; k < seen.at.size(); ++k) {
+      const auto i = seen.at[k];
+      const Shown block{i, seen.x[2 * i + 1], seen.rho[i], square(seen.sigma[i]), seen.under[i], 0};
+      // From the top down; they come row by row, mostly.
+      auto to = at[of[k]]++;
+      for (; to > column_[of[k]].begin && block.y < blocks_[to - 1].y; --to)
+        blocks_[to] = blocks_[to - 1];
+      blocks_[to] = block;
+      blocks_[to].ground = misfit(block, block.under, uneven);
+    }
     // Of the ground's inverse depth from row to row.
     slope_ = (seen.under[lowest] - seen.under[highest]) /
              std::max(seen.x[2 * lowest + 1] - seen.x[2 * highest + 1], 1.0);
-    for (std::size_t c = 0; c < columns_.size(); ++c) tell(c);
+    for (std::size_t c = 0; c < column_.size(); ++c) tell(c);
   }
 
   // What goes on to the next pair, before a body is taken out.
@@ -141,7 +153,7 @@ class Columns {
   bool next(Blocks& body, double& evidence) {
     double best = 0;
     std::size_t first = 0, last = 0, depth = 0;
-    const auto n = columns_.size();
+    const auto n = column_.size();
     for (std::size_t k = 0; k < depths_.size(); ++k)
       for (std::size_t from = 0; from < n; ++from) {
         // From its left end on, no wider than a vehicle that stands so low.
@@ -165,15 +177,24 @@ class Columns {
   }
 
  private:
+  struct Shown {
+    std::int64_t i;
+    double y, rho, variance, under, ground;  // its misfit on the ground
+  };
+
+  struct Range {
+    std::size_t begin, end;
+  };
+
   // How much rather a block shows a depth than the ground, log-likelihood.
-  double gain(std::int64_t i, double depth) const {
-    return 0.5 * (ground_[i] - misfit(seen_.rho[i], seen_.sigma[i], depth, rules_.body));
+  double gain(std::size_t k, double depth) const {
+    return 0.5 * (blocks_[k].ground - misfit(blocks_[k], depth, rules_.body));
   }
 
   // Squared error of an inverse depth where another is expected that a surface departs from by a
   // share; at most so much as a wrong vector's.
-  double misfit(double rho, double sigma, double expected, double share) const {
-    return std::min(square(rho - expected) / (square(sigma) + square(share * expected)),
+  double misfit(const Shown& block, double expected, double share) const {
+    return std::min(square(block.rho - expected) / (block.variance + square(share * expected)),
                     2 * rules_.most);
   }
 
@@ -184,24 +205,23 @@ class Columns {
     std::size_t first, last;
   };
 
-  Extent extent(std::size_t c, double depth) const {
-    const auto& column = columns_[c];
-    std::size_t crossing = 0;
-    while (crossing < column.size() && seen_.under[column[crossing]] <= depth) ++crossing;
+  // `crossing` is the first block below that row, from which on; above it at most some are told.
+  Extent extent(const Range& column, std::size_t crossing, double depth, std::size_t most) const {
     Extent found{0, crossing, crossing};
     double sum = 0;
-    for (auto k = crossing; k < column.size() && sum > found.told - rules_.most; ++k) {
-      sum += gain(column[k], depth);
+    for (auto k = crossing; k < column.end && sum > found.told - rules_.most; ++k) {
+      sum += gain(k, depth);
       if (k == crossing || sum > found.told) {
         found.told = sum;
         found.last = k + 1;
       }
     }
     double above = 0, first = 0;
+    const auto highest = crossing - std::min(crossing - column.begin, most);
     sum = 0;
-    for (auto k = crossing; k-- > 0 && sum > above - rules_.most;) {
-      sum += gain(column[k], depth);
-      if (k + 2 >= crossing) first = sum;
+    for (auto k = crossing; k-- > highest && sum > above - rules_.most;) {
+      sum += gain(k, depth);
+      if (k + BESIDE >= crossing) first = sum;
       if (sum > above) {
         above = sum;
         found.first = k;
@@ -212,14 +232,23 @@ class Columns {
     return found;
   }
 
+  // Looked for from block k on, one of those above.
+  std::size_t crossing(const Range& column, std::size_t k, double depth) const {
+    while (k < column.end && blocks_[k].under <= depth) ++k;
+    return k;
+  }
+
   void tell(std::size_t c) {
-    for (std::size_t k = 0; k < depths_.size(); ++k) {
-      const auto found = columns_[c].empty() ? Extent{0, 0, 0} : extent(c, depths_[k]);
-      double& told = told_[k * columns_.size() + c];
-      lasting_[k * columns_.size() + c] = std::max(told + std::min(found.told, rules_.lasting), 0.0);
+    const Range& column = column_[c];
+    auto at = column.begin;
+    for (std::size_t k = 0; k < depths_.size(); ++k) {  // from far to near
+      at = crossing(column, at, depths_[k]);
+      const Extent found = extent(column, at, depths_[k], BESIDE);
+      double& told = told_[k * column_.size() + c];
+      lasting_[k * column_.size() + c] = std::max(told + std::min(found.told, rules_.lasting), 0.0);
       told = std::max(told + std::min(found.told, rules_.once), 0.0);
-      foot_[k * columns_.size() + c] =
-          found.last > 0 ? seen_.under[columns_[c][found.last - 1]] / slope_ : 0;
+      foot_[k * column_.size() + c] =
+          found.last > column.begin ? blocks_[found.last - 1].under / slope_ : 0;
     }
   }
 
@@ -229,16 +258,18 @@ class Columns {
       double weight = 0, mean = 0;
       body.clear();
       for (auto c = first; c <= last; ++c) {
-        const auto rows = extent(c, depth);
+        const Range& column = column_[c];
+        const auto at = crossing(column, column.begin, depth);
+        const auto rows = extent(column, at, depth, blocks_.size());
         for (auto k = rows.first; k < rows.last; ++k) {
-          const auto i = columns_[c][k];
-          const double variance = square(seen_.sigma[i]) + square(rules_.body * depth);
-          if (square(seen_.rho[i] - depth) > square(rules_.agrees) * variance ||
-              seen_.under[i] < rules_.above * depth)
+          const Shown& block = blocks_[k];
+          const double variance = block.variance + square(rules_.body * depth);
+          if (square(block.rho - depth) > square(rules_.agrees) * variance ||
+              block.under < rules_.above * depth)
             continue;
-          body.push_back(i);
+          body.push_back(block.i);
           weight += 1 / variance;
-          mean += seen_.rho[i] / variance;
+          mean += block.rho / variance;
         }
       }
       if (body.empty()) break;
@@ -246,16 +277,17 @@ class Columns {
     }
     std::sort(body.begin(), body.end());
     for (auto c = first; c <= last; ++c) {
-      columns_[c].clear();
-      for (std::size_t k = 0; k < depths_.size(); ++k) told_[k * columns_.size() + c] = 0;
+      column_[c].end = column_[c].begin;
+      for (std::size_t k = 0; k < depths_.size(); ++k) told_[k * column_.size() + c] = 0;
     }
   }
 
-  const Seen& seen_;
+  static constexpr std::size_t BESIDE = 2;  // blocks right above the row where ground is as far
+
   const BodyRules& rules_;
-  double uneven_, slope_ = 0;
-  std::vector<double> ground_;  // misfit of each block on the ground
-  std::vector<Blocks> columns_;  // from the top down
+  double slope_ = 0;
+  std::vector<Shown> blocks_;  // column by column, from the top down
+  std::vector<Range> column_;
   std::vector<double> depths_;
   // (D, C): what this pair and those before tell, and how much of that the next one is told.
   std::vector<double> told_, lasting_;
