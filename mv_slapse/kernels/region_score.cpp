@@ -279,37 +279,79 @@ struct LandRules {
 // How much rather a region shows still land at another height than one depth, as chi-square: land
 // looks farther than the plane of the road, as a car ahead does, but its inverse depth grows from
 // row to row as the road's does, in one proportion. Above the horizon nothing is told.
-double land_rather(const std::vector<double>& rho, const std::vector<double>& sigma,
-                   const std::vector<double>& under, py::ssize_t begin, py::ssize_t end,
-                   const LandRules& rules) {
+class Land {
+ public:
+  explicit Land(const LandRules& rules) : rules_(rules) {}
+
+  double rather(const double* rho, const double* sigma, const double* under, std::size_t n) {
+    rho_ = rho;
+    weight_.resize(n);
+    shape_.resize(n);
+    for (std::size_t i = 0; i < n; ++i) {
+      const double weight = 1 / (square(sigma[i]) + square(rules_.relief * rho[i]) + 1e-18);
+      weight_[i] = under[i] > 0 ? weight : 0;
+      shape_[i] = std::max(under[i], 0.0);
+    }
+    double share = 0, depth = 0;
+    const double land = misfit(share);
+    std::fill(shape_.begin(), shape_.end(), 1.0);
+    const double body = misfit(depth);
+    // Nothing still looks farther than infinity.
+    return share > 0 ? std::max(body - land, 0.0) / rules_.dependence : 0;
+  }
+
+ private:
   // The capped squared error of the best multiple of a shape, reweighted as of Geman and McClure.
-  const auto misfit = [&](bool is_land, double& scale) {
-    std::vector<double> own(end - begin), weight(end - begin);
+  double misfit(double& scale) {
+    own_ = weight_;
+    squared_.resize(own_.size());
     double error = 0;
-    for (auto i = begin; i < end; ++i)
-      own[i - begin] = weight[i - begin] =
-          under[i] > 0 ? 1 / (square(sigma[i]) + square(rules.relief * rho[i]) + 1e-18) : 0;
-    const auto shape = [&](py::ssize_t i) { return is_land ? std::max(under[i], 0.0) : 1.0; };
-    for (int k = 0; k < rules.iterations; ++k) {
+    for (int k = 0; k < rules_.iterations; ++k) {
       double across = 0, length = 0;
-      for (auto i = begin; i < end; ++i) {
-        across += own[i - begin] * rho[i] * shape(i);
-        length += own[i - begin] * square(shape(i));
+      for (std::size_t i = 0; i < own_.size(); ++i) {
+        across += own_[i] * rho_[i] * shape_[i];
+        length += own_[i] * square(shape_[i]);
       }
       scale = across / std::max(length, 1e-12);
+      reweigh(weight_.data(), rho_, shape_.data(), own_.size(), scale, rules_.farthest,
+              squared_.data(), own_.data());
       error = 0;
-      for (auto i = begin; i < end; ++i) {
-        const double squared = weight[i - begin] * square(rho[i] - scale * shape(i));
-        own[i - begin] = weight[i - begin] / square(1 + squared / rules.farthest);
-        error += std::min(squared, rules.farthest);
-      }
+      for (const double squared : squared_) error += squared;
     }
     return error;
-  };
-  double share = 0, depth = 0;
-  const double land = misfit(true, share), body = misfit(false, depth);
-  // Nothing still looks farther than infinity.
-  return share > 0 ? std::max(body - land, 0.0) / rules.dependence : 0;
+  }
+
+  // Capped squared errors, and what blocks count by them.
+  KERNELS_WIDE
+  static void reweigh(const double* weight, const double* rho, const double* shape, std::size_t n,
+                      double scale, double farthest, double* __restrict squared,
+                      double* __restrict own) {
+    for (std::size_t i = 0; i < n; ++i) {
+      const double error = weight[i] * square(rho[i] - scale * shape[i]);
+      own[i] = weight[i] / square(1 + error / farthest);
+      squared[i] = std::min(error, farthest);
+    }
+  }
+
+  const LandRules rules_;
+  const double* rho_ = nullptr;
+  std::vector<double> weight_, shape_, own_, squared_;
+};
+
+// How many different ones there are among some values that are not negative.
+std::int64_t count_different(const std::vector<std::int64_t>& values,
+                             std::vector<std::int64_t>& table) {
+  std::size_t size = 1;
+  while (size < 2 * values.size()) size *= 2;
+  table.assign(size, -1);
+  std::int64_t found = 0;
+  for (const auto value : values) {
+    auto at = static_cast<std::uint64_t>(value) * 0x9E3779B97F4A7C15u >> 32 & (size - 1);
+    while (table[at] >= 0 && table[at] != value) at = (at + 1) & (size - 1);
+    found += table[at] < 0;
+    table[at] = value;
+  }
+  return found;
 }
 
 py::tuple region_outlines(const py::object& regions, const py::object& K_,
@@ -350,35 +392,38 @@ py::tuple region_outlines(const py::object& regions, const py::object& K_,
       near({R}), land({R}), turned({R, 2});
   Out<std::int64_t> kinds({R});
   std::vector<double> bottom, each(n);
+  Land land_of(rules);
   for (py::ssize_t i = 0; i < n; ++i)
     each[i] = -dot(K_inverse * Vec3{x(i, 0), x(i, 1), 1}, ground);
-  std::vector<std::int64_t> keys;
+  std::vector<std::int64_t> keys, table;
   for (py::ssize_t r = 0; r < R; ++r) {
     const auto begin = first[r], end = r + 1 < R ? first[r + 1] : n;
     bottom.clear();
     keys.clear();
-    double area = 0;
-    for (int a = 0; a < 2; ++a) {
-      low(r, a) = INFINITE;
-      high(r, a) = -INFINITE;
-    }
+    const auto count = static_cast<double>(end - begin);
+    double area = 0, least[2] = {INFINITE, INFINITE}, most[2] = {-INFINITE, -INFINITE},
+           mean_turn[2] = {}, lowermost = -INFINITE, edge = -INFINITE;
     for (auto i = begin; i < end; ++i) {
       bottom.push_back(x(i, 1) + 0.5 * block(i, 1));
+      edge = std::max(edge, std::min(lowermost, bottom.back()));
+      lowermost = std::max(lowermost, bottom.back());
       area += block(i, 0) * block(i, 1);
       std::int64_t key = 0;
       for (int a = 0; a < 2; ++a) {
-        low(r, a) = std::min(low(r, a), x(i, a));
-        high(r, a) = std::max(high(r, a), x(i, a));
-        turned(r, a) += turn(i, a) / (end - begin);
-        key = key * 65536 +
-              (static_cast<std::int64_t>(std::nearbyint(shift(i, a) / repeated)) & 65535);
+        least[a] = std::min(least[a], x(i, a));
+        most[a] = std::max(most[a], x(i, a));
+        mean_turn[a] += turn(i, a) / count;
+        key = key * 65536 + (std::llrint(shift(i, a) / repeated) & 65535);
       }
       keys.push_back(key);
     }
+    for (int a = 0; a < 2; ++a) {
+      low(r, a) = least[a];
+      high(r, a) = most[a];
+      turned(r, a) = mean_turn[a];
+    }
     // A single block below all others is taken for a stray, as in contact.hpp.
-    auto sorted = bottom;
-    std::sort(sorted.begin(), sorted.end());
-    const double edge = sorted[std::max<std::ptrdiff_t>(end - begin - 2, 0)];
+    if (end - begin < 2) edge = lowermost;
     double across = 0, lowest = 0, lower = 0, tall = 0;
     for (auto i = begin; i < end; ++i) {
       if (bottom[i - begin] >= edge - 0.5) {
@@ -399,9 +444,8 @@ py::tuple region_outlines(const py::object& regions, const py::object& K_,
     under[r] = -dot(ray, ground);
     filled[r] = area / ((high(r, 0) - low(r, 0) + macroblock) *
                         (high(r, 1) - low(r, 1) + macroblock));
-    land[r] = land_rather(rho, sigma, each, begin, end, rules);
-    std::sort(keys.begin(), keys.end());
-    kinds[r] = std::unique(keys.begin(), keys.end()) - keys.begin();
+    land[r] = land_of.rather(&rho[begin], &sigma[begin], &each[begin], end - begin);
+    kinds[r] = count_different(keys, table);
   }
   return py::make_tuple(low.array(), high.array(), foot.array(), drop.array(), under.array(),
                         filled.array(), near.array(), land.array(), kinds.array(), turned.array());
