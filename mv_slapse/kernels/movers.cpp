@@ -497,20 +497,22 @@ py::tuple remembered(const py::object& memory, std::int64_t stamp, std::int64_t 
 
 // What a region of `of` blocks was, by the known values of some: the mean of their upper half, or of
 // all where less than a `part` is above zero, for most of it stood still then. 0 where less than a
-// third is known.
-double value_before(std::vector<double> known, std::size_t of, double part) {
+// third is known. Values change their order.
+double value_before(std::vector<double>& known, std::size_t of, double part) {
   if (3 * known.size() < of) return 0;
-  std::sort(known.begin(), known.end());
-  const auto above = known.end() - std::upper_bound(known.begin(), known.end(), 0.0);
+  std::size_t above = 0;
+  for (const double value : known) above += value > 0;
   const bool stood = static_cast<double>(above) < part * static_cast<double>(known.size());
   const std::size_t first = stood ? 0 : known.size() / 2;
+  if (first) nth_smallest(known.data(), known.size(), first);
+  std::sort(known.begin() + first, known.end());
   double sum = 0;
   for (auto i = first; i < known.size(); ++i) sum += known[i];
   return sum / static_cast<double>(known.size() - first);
 }
 
-// The value that most are, the lower one of two, and how often it occurs.
-std::pair<std::int64_t, std::size_t> majority(std::vector<std::int64_t> values) {
+// The value that most are, the lower one of two, and how often it occurs; they are sorted.
+std::pair<std::int64_t, std::size_t> majority(std::vector<std::int64_t>& values) {
   std::sort(values.begin(), values.end());
   std::pair<std::int64_t, std::size_t> most{-1, 0};
   for (std::size_t i = 0, end; i < values.size(); i = end) {
@@ -551,10 +553,11 @@ py::tuple histories(const py::object& regions, const py::object& scores_, const 
     to_score[i] = std::isnan(score[i]) || ground_like[i] ? 0 : rules.fading * score[i];
     to_left[i] = std::isnan(left[i]) ? 0 : rules.fading * left[i];
   }
+  std::vector<double> scores, departures;
+  std::vector<std::int64_t> ids, planes;
   for (py::ssize_t r = 0; r < R; ++r) {
     const auto end = r + 1 < R ? first[r + 1] : members.size();
-    std::vector<double> scores, departures;
-    std::vector<std::int64_t> ids, planes;
+    scores.clear(), departures.clear(), ids.clear(), planes.clear();
     for (auto k = first[r]; k < end; ++k) {
       const auto i = members[k];
       if (!std::isnan(score[i])) scores.push_back(score[i]);
@@ -570,10 +573,10 @@ py::tuple histories(const py::object& regions, const py::object& scores_, const 
     if (known[r] < 0) {
       // A parked car that starts keeps its plane's id.
       const auto [own, count] = majority(planes);
-      const auto covers = rules.same_plane * std::count(plane.data(), plane.data() + n, own);
-      const bool most = static_cast<double>(count) >= std::max(rules.same_plane * size, covers);
-      if (own >= 0 && own != ground && most)
-        known[r] = own;
+      if (own >= 0 && own != ground && static_cast<double>(count) >= rules.same_plane * size) {
+        const auto all = std::count(plane.data(), plane.data() + n, own);
+        if (static_cast<double>(count) >= rules.same_plane * all) known[r] = own;
+      }
     }
     for (auto k = first[r]; k < end; ++k) {
       to_score[members[k]] = total[r];
