@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "arrays.hpp"
+#include "small.hpp"
 
 namespace kernels {
 
@@ -67,10 +68,10 @@ inline double power_of_two(double x) {
 
 // Median of values, which are reordered; the mean of the two in the middle of an even number.
 inline float median(std::vector<float>& values) {
-  const auto middle = values.begin() + values.size() / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  if (values.size() % 2) return *middle;
-  return (*std::max_element(values.begin(), middle) + *middle) / 2;
+  const auto half = values.size() / 2;
+  const float middle = nth_smallest(values.data(), values.size(), half);
+  if (values.size() % 2) return middle;
+  return (*std::max_element(values.begin(), values.begin() + half) + middle) / 2;
 }
 
 // Smallest probability of a vector that others support, see `Correspondences.lone`.

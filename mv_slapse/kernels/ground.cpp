@@ -14,10 +14,9 @@ namespace {
 constexpr double PI = 3.14159265358979323846;
 
 double median(std::vector<double>& values) {
-  double* const middle = values.data() + values.size() / 2;
-  select(values.data(), middle, values.data() + values.size());
-  if (values.size() % 2) return *middle;
-  return 0.5 * (*std::max_element(values.data(), middle) + *middle);
+  const auto n = values.size();
+  const double middle = nth_smallest(values.data(), n, n / 2);
+  return n % 2 ? middle : 0.5 * (*std::max_element(values.data(), values.data() + n / 2) + middle);
 }
 
 // Rays, inverse depths, their standard deviations and pixels of N blocks.

@@ -50,35 +50,6 @@ inline Mat3 skew(const Vec3& a) {
   return {0, -a[2], a[1], a[2], 0, -a[0], -a[1], a[0], 0};
 }
 
-// Sorts numbers so far that the one at `middle` is what stands there in order, with none larger
-// before it and none smaller behind it: std::nth_element, without branches that nobody foresees.
-inline void select(double* first, double* middle, double* last) {
-  while (last - first > 16) {
-    const double a = *first, b = first[(last - first) / 2], c = last[-1];
-    const double pivot = std::max(std::min(a, b), std::min(std::max(a, b), c));
-    const auto divided = [&](auto goes_first) {
-      double* next = first;
-      for (double* i = first; i < last; ++i) {
-        const double value = *i;
-        *i = *next;
-        *next = value;
-        next += goes_first(value);
-      }
-      return next;
-    };
-    double* const smaller = divided([&](double value) { return value < pivot; });
-    if (middle < smaller) {
-      last = smaller;
-    } else if (smaller > first) {
-      first = smaller;
-    } else {  // the pivot is the least, so that those equal to it are set apart
-      first = divided([&](double value) { return value <= pivot; });
-      if (middle < first || smaller == first) return;
-    }
-  }
-  std::nth_element(first, middle, last);
-}
-
 // Rotation of a rotation vector [rad], Rodrigues' formula; a series where the angle is small.
 inline Mat3 rotation_exp(const Vec3& w) {
   const double square = dot(w, w), angle = std::sqrt(square);

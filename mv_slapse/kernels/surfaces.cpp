@@ -449,10 +449,10 @@ bool Search::look() {
     if (counts(window)) last = squared_errors(blocks_, fours_.data(), window, last);
   double noise = 1;
   if (n) {
-    double* const middle = squared.data() + n / 2;
-    select(squared.data(), middle, last);
-    const double below = n % 2 ? *middle : *std::max_element(squared.data(), middle);
-    noise = std::clamp(std::sqrt(0.5 * (below + *middle) * is_.noise_least), 1.0, 4.0);
+    const double middle = nth_smallest(squared.data(), n, n / 2);
+    const double below =
+        n % 2 ? middle : *std::max_element(squared.data(), squared.data() + n / 2);
+    noise = std::clamp(std::sqrt(0.5 * (below + middle) * is_.noise_least), 1.0, 4.0);
   }
   for (auto* column : {&blocks_.ray[0], &blocks_.ray[1], &blocks_.ray[2], &blocks_.rho})
     for (double& value : *column) value /= noise;

@@ -17,10 +17,10 @@ Blocks::Blocks(std::size_t n) : count(n) {
 }
 
 double median(std::vector<double>& values) {
-  const auto half = values.begin() + values.size() / 2;
-  std::nth_element(values.begin(), half, values.end());
-  if (values.size() % 2) return *half;
-  return 0.5 * (*half + *std::max_element(values.begin(), half));
+  const auto half = values.size() / 2;
+  const double middle = nth_smallest(values.data(), values.size(), half);
+  if (values.size() % 2) return middle;
+  return 0.5 * (middle + *std::max_element(values.begin(), values.begin() + half));
 }
 
 void tangent_basis(const Vec3& direction, Vec3& first, Vec3& second) {
