@@ -25,9 +25,9 @@ class Grid {
     Grid across(columns_, rows_), out(columns_, rows_);
     const int reach = AROUND / 2;
     for (int r = 0; r < rows_; ++r)
-      for (int c = 0; c < columns_; ++c)
-        for (int k = std::max(c - reach, 0); k <= std::min(c + reach, columns_ - 1); ++k)
-          across.value_[r * columns_ + c] += value_[r * columns_ + k];
+      for (int off = -reach; off <= reach; ++off)
+        for (int c = std::max(-off, 0); c < columns_ - std::max(off, 0); ++c)
+          across.value_[r * columns_ + c] += value_[r * columns_ + c + off];
     for (int r = 0; r < rows_; ++r)
       for (int k = std::max(r - reach, 0); k <= std::min(r + reach, rows_ - 1); ++k)
         for (int c = 0; c < columns_; ++c)
@@ -42,18 +42,21 @@ class Grid {
 
 // The macroblock of each pixel, from the first; `shift` is where in its pixel a centre lies.
 struct Cells2 {
-  Cells2(const std::vector<double>& x, double shift) {
-    const int n = static_cast<int>(x.size() / 2);
+  Cells2(const std::vector<double>& x, double shift) : of(x.size()) {
+    for (std::size_t i = 0; i < of.size(); ++i) {
+      const double scaled = std::clamp((x[i] + shift) / MACROBLOCK, -1000.0, 1000.0);
+      const int whole = static_cast<int>(scaled);
+      of[i] = whole - (scaled < whole);
+    }
     int low[2] = {0, 0}, high[2] = {0, 0};
-    for (int i = 0; i < n; ++i)
-      for (int axis = 0; axis < 2; ++axis) {
-        const double scaled = (x[2 * i + axis] + shift) / MACROBLOCK;
-        const int k = static_cast<int>(std::floor(std::clamp(scaled, -1000.0, 1000.0)));
-        of.push_back(k);
-        low[axis] = i ? std::min(low[axis], k) : k;
-        high[axis] = i ? std::max(high[axis], k) : k;
+    for (int axis = 0; axis < 2 && !of.empty(); ++axis) {
+      low[axis] = high[axis] = of[axis];
+      for (std::size_t i = axis; i < of.size(); i += 2) {
+        low[axis] = std::min(low[axis], of[i]);
+        high[axis] = std::max(high[axis], of[i]);
       }
-    for (int i = 0; i < 2 * n; ++i) of[i] -= low[i % 2];
+    }
+    for (std::size_t i = 0; i < of.size(); ++i) of[i] -= low[i % 2];
     columns = high[0] - low[0] + 1;
     rows = high[1] - low[1] + 1;
   }
@@ -97,9 +100,12 @@ py::tuple stationary_blocks(const py::object& x_cur, const py::object& x_prev,
   const auto m = static_cast<py::ssize_t>(kept.size());
   Out<double> rays_cur({m, 3}), rays_prev({m, 3}), before({m, 2}), spread({m});
   Out<std::int32_t> ids({m});
+  const double focal[2] = {K(0, 0), K(1, 1)}, centre[2] = {K(0, 2), K(1, 2)},
+               skewness = K(0, 1) / K(0, 0);
   const auto ray = [&](double u, double v, double* to) {
-    to[1] = (v - K(1, 2)) / K(1, 1);
-    to[0] = (u - K(0, 2)) / K(0, 0) - K(0, 1) / K(0, 0) * to[1];
+    const double y = (v - centre[1]) / focal[1];
+    to[0] = (u - centre[0]) / focal[0] - skewness * y;
+    to[1] = y;
     to[2] = 1;
   };
   for (py::ssize_t i = 0; i < m; ++i) {
