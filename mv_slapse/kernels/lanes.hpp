@@ -49,11 +49,7 @@ KERNELS_INLINE Four magnitude(const Four& a) {
   for (std::size_t j = 0; j < LANES; ++j) out[j] = std::abs(a[j]);
   return out;
 }
-KERNELS_INLINE Four hypotenuse(const Four& a, const Four& b) {
-  Four out;
-  for (std::size_t j = 0; j < LANES; ++j) out[j] = std::hypot(a[j], b[j]);
-  return out;
-}
+KERNELS_INLINE Four hypotenuse(const Four& a, const Four& b) { return root(a * a + b * b); }
 KERNELS_INLINE Four at_least(const Four& a, double low) {
   const Four bound = Four{} + low;
   return a > bound ? a : bound;
