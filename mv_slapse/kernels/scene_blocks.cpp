@@ -132,24 +132,17 @@ py::tuple error_dependence(const py::object& rays_cur, const py::object& rays_pr
   const auto n = static_cast<py::ssize_t>(pair.size());
   const In<double> before(kernel, "x_prev", x_prev, {n, 2}, Check::finite);
   require(n > 0 && width > 0, kernel, "there must be errors and a width");
-  const TwoView view = two_view(kernel, R, t, focal);
-  const Mat3 Rt = transposed(view.R);
-  std::vector<double> x(before.data(), before.data() + 2 * n), influence(n);
-  const Cells2 cells(x, 0.0);
+  const auto errors = epipolar_errors(pair.blocks(), two_view(kernel, R, t, focal));
+  const Cells2 cells(std::vector<double>(before.data(), before.data() + 2 * n), 0.0);
   Grid total(cells.columns, cells.rows);
   double weights = 0, slopes = 0;
   for (py::ssize_t i = 0; i < n; ++i) {
-    const Vec3 cur{pair.rays_cur(i, 0), pair.rays_cur(i, 1), pair.rays_cur(i, 2)};
-    const Vec3 prev{pair.rays_prev(i, 0), pair.rays_prev(i, 1), pair.rays_prev(i, 2)};
-    const Vec3 line = Rt * cross(cur, view.t);
-    const double length = std::max(std::hypot(line[0] / view.fx, line[1] / view.fy), 1e-12);
-    const double error = dot(prev, line) / length / pair.sigma[i];
+    const double error = errors[i];
     const double share = error / width * (error / width), bounded = 1 / (1 + share);
     const double weight = bounded * bounded;
-    influence[i] = weight * error;
     weights += weight;
     slopes += weight - 4 * share * bounded * weight;
-    total.at(cells.of[2 * i], cells.of[2 * i + 1]) += influence[i];
+    total.at(cells.of[2 * i], cells.of[2 * i + 1]) += weight * error;
   }
   Grid around = total.around();
   double variance = 0;
