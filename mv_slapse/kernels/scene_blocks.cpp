@@ -153,6 +153,44 @@ py::tuple error_dependence(const py::object& rays_cur, const py::object& rays_pr
   return py::make_tuple(variance / n * (weights / n) / (slope * slope), median(spread));
 }
 
+struct Slopes {
+  double sums[6] = {}, weights = 0;
+};
+
+// Weighted sums of what the inverse depths of blocks change by, as shares.
+KERNELS_WIDE
+Slopes depth_slopes(const Blocks& blocks, const TwoView& view, double max_spread, double relief) {
+  const Four one = Four{} + 1.0;
+  Slopes out;
+  for (std::size_t i = 0; i < blocks.x.size(); i += LANES) {
+    const Four3 turned = view.R * Four3{load(&blocks.u[i]), load(&blocks.v[i]), one};
+    const Four3 y{turned.x / turned.z, turned.y / turned.z, one};
+    const Four gx = (view.t[0] - y.x * view.t[2]) * view.fx;
+    const Four gy = (view.t[1] - y.y * view.t[2]) * view.fy;
+    const Four square = at_least(gx * gx + gy * gy, 1e-18);
+    const Four dx = (load(&blocks.x[i]) - y.x) * view.fx, dy = (load(&blocks.y[i]) - y.y) * view.fy;
+    const Four rho = (dx * gx + dy * gy) / square;
+    const Four spread = magnitude(1 - rho * view.t[2]) / root(square) * load(&blocks.sigma[i]);
+    const auto tells = spread < max_spread * rho;
+    const Four weight = 1 / (spread / rho * (spread / rho) + relief * relief);
+    // y moves by w x y, and back to z = 1; what a vector in the picture tells by y is v . dy.
+    const Four bx = (dx - 2 * rho * gx) / square * view.fx;
+    const Four by = (dy - 2 * rho * gy) / square * view.fy;
+    const Four px = -gx / square * view.fx - bx * view.t[2];
+    const Four py_ = -gy / square * view.fy - by * view.t[2];
+    const Four3 by_w = cross(y, Four3{px, py_, -(px * y.x + py_ * y.y)});
+    const Four row[6] = {by_w.x, by_w.y, by_w.z, bx, by, -(bx * y.x + by * y.y)};
+    Four share[6];
+    for (int k = 0; k < 6; ++k) share[k] = weight * row[k] / rho;
+    for (std::size_t j = 0; j < std::min(LANES, blocks.count - i); ++j) {
+      if (!tells[j]) continue;
+      for (int k = 0; k < 6; ++k) out.sums[k] += share[k][j];
+      out.weights += weight[j];
+    }
+  }
+  return out;
+}
+
 // Derivative (6,) of the mean log of inverse depth by (w, t) of the pair's motion; zeros where no
 // depth is sure.
 py::array_t<double> depth_slope(const py::object& rays_cur, const py::object& rays_prev,
@@ -161,32 +199,10 @@ py::array_t<double> depth_slope(const py::object& rays_cur, const py::object& ra
                                 double relief) {
   const char* kernel = "depth_slope";
   const PairArrays pair(kernel, rays_cur, rays_prev, sigma);
-  const TwoView view = two_view(kernel, R, t, focal);
-  double sums[6] = {}, weights = 0;
-  for (std::size_t i = 0; i < pair.size(); ++i) {
-    const Vec3 turned = view.R * Vec3{pair.rays_prev(i, 0), pair.rays_prev(i, 1), 1};
-    const Vec3 y{turned[0] / turned[2], turned[1] / turned[2], 1};
-    const double gx = (view.t[0] - y[0] * view.t[2]) * view.fx;
-    const double gy = (view.t[1] - y[1] * view.t[2]) * view.fy;
-    const double square = std::max(gx * gx + gy * gy, 1e-18);
-    const double dx = (pair.rays_cur(i, 0) - y[0]) * view.fx;
-    const double dy = (pair.rays_cur(i, 1) - y[1]) * view.fy;
-    const double rho = (dx * gx + dy * gy) / square;
-    const double spread = std::abs(1 - rho * view.t[2]) / std::sqrt(square) * pair.sigma[i];
-    if (!(spread < max_spread * rho)) continue;
-    const double weight = 1 / (spread / rho * (spread / rho) + relief * relief);
-    // y moves by w x y, and back to z = 1; what a vector in the picture tells by y is v . dy.
-    const double bx = (dx - 2 * rho * gx) / square * view.fx;
-    const double by = (dy - 2 * rho * gy) / square * view.fy;
-    const double px = -gx / square * view.fx - bx * view.t[2];
-    const double py_ = -gy / square * view.fy - by * view.t[2];
-    const Vec3 by_y{px, py_, -(px * y[0] + py_ * y[1])}, by_w = cross(y, by_y);
-    const double row[6] = {by_w[0], by_w[1], by_w[2], bx, by, -(bx * y[0] + by * y[1])};
-    for (int k = 0; k < 6; ++k) sums[k] += weight * row[k] / rho;
-    weights += weight;
-  }
+  const Slopes found =
+      depth_slopes(pair.blocks(), two_view(kernel, R, t, focal), max_spread, relief);
   Out<double> out({6});
-  for (int k = 0; k < 6 && weights > 0; ++k) out[k] = sums[k] / weights;
+  for (int k = 0; k < 6 && found.weights > 0; ++k) out[k] = found.sums[k] / found.weights;
   return out.array();
 }
 
