@@ -269,15 +269,45 @@ py::tuple planes_in_world(const py::object& planes, const py::object& anchors,
 
 using Point = std::array<double, 2>;
 
+// Twice the area of a triangle; positive where it turns left.
+double area(const Point& a, const Point& b, const Point& c) {
+  return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+}
+
+// Takes out the points that lie well inside the octagon of those farthest out in eight directions.
+void drop_inner(std::vector<Point>& points) {
+  constexpr double DIRECTIONS[8][2] = {{1, 0},  {1, 1},   {0, 1},  {-1, 1},
+                                       {-1, 0}, {-1, -1}, {0, -1}, {1, -1}};
+  Point corner[8];
+  double most[8];
+  std::fill_n(corner, 8, points.front());
+  std::fill_n(most, 8, -std::numeric_limits<double>::infinity());
+  for (const Point& p : points)
+    for (int k = 0; k < 8; ++k) {
+      const double far = DIRECTIONS[k][0] * p[0] + DIRECTIONS[k][1] * p[1];
+      if (far > most[k]) most[k] = far, corner[k] = p;
+    }
+  const double least = 1e-9 * (most[0] + most[4]) * (most[2] + most[6]);
+  const auto inside = [&](const Point& p) {
+    bool in = least > 0;
+    for (int k = 0; k < 8; ++k) {
+      const Point &a = corner[k], &b = corner[(k + 1) % 8];
+      in &= a == b || area(a, b, p) > least;
+    }
+    return in;
+  };
+  points.erase(std::remove_if(points.begin(), points.end(), inside), points.end());
+}
+
 // Convex hull of points, counter-clockwise (Andrew's monotone chain).
 std::vector<Point> convex_hull(std::vector<Point> points) {
+  drop_inner(points);
   std::sort(points.begin(), points.end());
   points.erase(std::unique(points.begin(), points.end()), points.end());
   if (points.size() < 3) return points;
   std::vector<Point> hull;
   const auto turns_left = [&](const Point& c) {
-    const Point &a = hull[hull.size() - 2], &b = hull.back();
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0;
+    return area(hull[hull.size() - 2], hull.back(), c) > 0;
   };
   for (int side = 0; side < 2; ++side) {
     const std::size_t first = hull.size();
@@ -297,10 +327,9 @@ void simplify(std::vector<Point>& hull, std::size_t most) {
     std::size_t least = 0;
     double smallest = std::numeric_limits<double>::infinity();
     for (std::size_t i = 0; i < hull.size(); ++i) {
-      const Point &a = hull[(i + hull.size() - 1) % hull.size()], &b = hull[i];
-      const Point& c = hull[(i + 1) % hull.size()];
-      const double area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-      if (area < smallest) smallest = area, least = i;
+      const double cut = area(hull[(i + hull.size() - 1) % hull.size()], hull[i],
+                              hull[(i + 1) % hull.size()]);
+      if (cut < smallest) smallest = cut, least = i;
     }
     hull.erase(hull.begin() + static_cast<std::ptrdiff_t>(least));
   }
