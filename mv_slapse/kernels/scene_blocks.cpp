@@ -80,21 +80,19 @@ py::tuple stationary_blocks(const py::object& x_cur, const py::object& x_prev,
   const In<double> K(kernel, "K", intrinsics, {3, 3}, Check::finite);
   std::vector<double> x(cur.data(), cur.data() + 2 * n);
   const Cells2 cells(x, 0.5);
-  Grid all(cells.columns, cells.rows), still(cells.columns, cells.rows);
+  Grid more(cells.columns, cells.rows);  // how many more are still than not
   std::vector<char> moves((cells.columns + 2) * (cells.rows + 2), 0);
   for (py::ssize_t i = 0; i < n; ++i) {
     const int c = cells.of[2 * i], r = cells.of[2 * i + 1];
-    all.at(c, r) += 1;
-    still.at(c, r) += of[i] == STATIONARY || of[i] == INFINITE;
+    more.at(c, r) += of[i] == STATIONARY || of[i] == INFINITE ? 1 : -1;
     if (of[i] == MOVING)
       for (int k = 0; k < 9; ++k) moves[(r + k / 3) * (cells.columns + 2) + c + k % 3] = 1;
   }
-  Grid around = all.around(), agreeing = still.around();
+  Grid around = more.around();
   std::vector<py::ssize_t> kept;
   for (py::ssize_t i = 0; i < n; ++i) {
     const int c = cells.of[2 * i], r = cells.of[2 * i + 1];
-    const bool stray = moves[(r + 1) * (cells.columns + 2) + c + 1] ||
-                       agreeing.at(c, r) < 0.5 * around.at(c, r);
+    const bool stray = moves[(r + 1) * (cells.columns + 2) + c + 1] || around.at(c, r) < 0;
     if ((of[i] == STATIONARY || of[i] == INFINITE) && (plane[i] >= 0 || !stray)) kept.push_back(i);
   }
   const auto m = static_cast<py::ssize_t>(kept.size());
