@@ -11,65 +11,76 @@ namespace {
 
 constexpr int EVERY = 2;       // rows of which one is asked for texture: the others show the same
 constexpr int FOURTH = 4;      // and for residuals, of which 64 pixels tell enough
+constexpr int AHEAD = 80;      // pixels, of what soon will be asked for: matches go on to the right
 constexpr float TWICE = 2;     // pixels apart that a gradient is taken from
 constexpr int STEPS = 16;      // of a pixel, to which a vector is taken
+constexpr int BITS = 8;        // of STEPS squared
 constexpr float NOISE = 3;     // grey levels, by which a picture differs from its match at least
 constexpr float SHARE = 15;    // of squared residuals: side by side they are alike, not noise
 constexpr float USUAL = 1.5f;  // grey levels squared, residual where one picture is known
 constexpr float SMOOTH = 0.7f; // px, by which encoders let vectors differ from those around
 
-struct Products {  // sums of products of differences, for each column of pixels
-  std::vector<int> xx, xy, yy;
-  explicit Products(int width) : xx(width, 0), xy(width, 0), yy(width, 0) {}
-};
-
-KERNELS_WIDE void add(const std::uint8_t* __restrict above, const std::uint8_t* __restrict row,
-                      const std::uint8_t* __restrict below, int width, int* __restrict xx,
-                      int* __restrict xy, int* __restrict yy) {
-  for (int i = 1; i < width - 1; ++i) {
-    const int x = int(row[i + 1]) - row[i - 1], y = int(below[i]) - above[i];
-    xx[i] += x * x;
-    xy[i] += x * y;
-    yy[i] += y * y;
+// Differences of the pixels beside each other, and above each other, of a row of a macroblock.
+KERNELS_INLINE void differ(const std::uint8_t* above, const std::uint8_t* row,
+                           const std::uint8_t* below, int first, int last,
+                           std::int16_t* __restrict x, std::int16_t* __restrict y) {
+  for (int i = first; i < last; ++i) {
+    x[i] = static_cast<std::int16_t>(row[i + 1] - row[i - 1]);
+    y[i] = static_cast<std::int16_t>(below[i] - above[i]);
   }
 }
 
-// Smaller eigenvalue [grey levels^2 / px^2] of the structure tensor of each macroblock, row by row.
-std::vector<float> texture(const Picture& picture) {
-  const int columns = macroblocks(picture.width), rows = macroblocks(picture.height);
-  std::vector<float> out(columns * rows);
-  for (int r = 0; r < rows; ++r) {
-    Products sums(picture.width);
-    const int last = std::min(MACROBLOCK * (r + 1), picture.height - 1);
-    for (int y = std::max(MACROBLOCK * r, 1); y < last; y += EVERY)
-      add(picture.row(y - 1), picture.row(y), picture.row(y + 1), picture.width, sums.xx.data(),
-          sums.xy.data(), sums.yy.data());
-    for (int c = 0; c < columns; ++c) {
-      float xx = 0, xy = 0, yy = 0;
-      for (int i = MACROBLOCK * c; i < std::min(MACROBLOCK * (c + 1), picture.width); ++i) {
-        xx += static_cast<float>(sums.xx[i]);
-        xy += static_cast<float>(sums.xy[i]);
-        yy += static_cast<float>(sums.yy[i]);
-      }
-      const float half = (xx - yy) / 2;
-      const float smaller = (xx + yy) / 2 - std::sqrt(half * half + xy * xy);
-      out[r * columns + c] = std::max(smaller, 0.0f) * EVERY / (TWICE * TWICE);
-    }
+// Smaller eigenvalue [grey levels^2 / px^2] of the structure tensor of a macroblock. In registers
+// of the usual width: a processor waits where it reads more at a time than it has just written.
+float texture(const Picture& picture, int column, int row) {
+  constexpr int ROWS = MACROBLOCK / EVERY;
+  const int left = MACROBLOCK * column, top = std::max(MACROBLOCK * row, 1);
+  const int first = std::max(1 - left, 0), last = std::min(MACROBLOCK, picture.width - 1 - left);
+  const int rows = std::min(ROWS, (picture.height - top) / EVERY);
+  const bool whole = last - first == MACROBLOCK && rows == ROWS;
+  std::int16_t x[ROWS * MACROBLOCK], y[ROWS * MACROBLOCK];
+  if (!whole) {
+    std::memset(x, 0, sizeof x);
+    std::memset(y, 0, sizeof y);
   }
-  return out;
+  for (int j = 0; j < rows; ++j) {
+    const int at = top + EVERY * j;
+    const std::uint8_t *above = picture.row(at - 1) + left, *here = picture.row(at) + left,
+                       *below = picture.row(at + 1) + left;
+    __builtin_prefetch(here + AHEAD);
+    __builtin_prefetch(below + AHEAD);
+    std::int16_t *to_x = x + MACROBLOCK * j, *to_y = y + MACROBLOCK * j;
+    if (whole) differ(above, here, below, 0, MACROBLOCK, to_x, to_y);
+    else differ(above, here, below, first, last, to_x, to_y);
+  }
+  int xx = 0, xy = 0, yy = 0;
+  for (int i = 0; i < ROWS * MACROBLOCK; ++i) {
+    xx += x[i] * x[i];
+    xy += x[i] * y[i];
+    yy += y[i] * y[i];
+  }
+  const float half = static_cast<float>(xx - yy) / 2, both = static_cast<float>(xy);
+  const float smaller = static_cast<float>(xx + yy) / 2 - std::sqrt(half * half + both * both);
+  return std::max(smaller, 0.0f) * EVERY / (TWICE * TWICE);
 }
 
-// Sum and sum of squares of what 16 pixels differ by from those between two rows.
-KERNELS_INLINE void compare(const std::uint8_t* __restrict now, const std::uint8_t* __restrict upper,
-                            const std::uint8_t* __restrict lower, const int (&weight)[4], int& sum,
+// Adds sum and sum of squares of what 16 pixels differ by from those between two rows. All
+// but these fits into sixteen bits.
+KERNELS_INLINE void compare(const std::uint8_t* now, const std::uint8_t* upper,
+                            const std::uint8_t* lower, const std::uint16_t (&weight)[4], int& sum,
                             int& squares) {
+  std::int16_t row_sum = 0;
+  int row_squares = 0;
   for (int i = 0; i < MACROBLOCK; ++i) {
-    const int then = weight[0] * upper[i] + weight[1] * upper[i + 1] + weight[2] * lower[i] +
-                     weight[3] * lower[i + 1];
-    const int apart = now[i] - (then + STEPS * STEPS / 2) / (STEPS * STEPS);
-    sum += apart;
-    squares += apart * apart;
+    const auto then = static_cast<std::uint16_t>(
+        weight[0] * upper[i] + weight[1] * upper[i + 1] + weight[2] * lower[i] +
+        weight[3] * lower[i + 1] + STEPS * STEPS / 2);
+    const auto apart = static_cast<std::int16_t>(now[i] - (then >> BITS));
+    row_sum = static_cast<std::int16_t>(row_sum + apart);
+    row_squares += apart * apart;
   }
+  sum += row_sum;
+  squares += row_squares;
 }
 
 // Variance [grey levels^2] of what a macroblock around x differs by from its match; USUAL where
@@ -84,11 +95,17 @@ KERNELS_WIDE float residual(const Picture& now, const Picture& then, Vec2 x, Vec
     return USUAL;
   const int a = static_cast<int>((u - static_cast<float>(there)) * STEPS);
   const int b = static_cast<int>((v - static_cast<float>(under)) * STEPS);
-  const int weight[] = {(STEPS - a) * (STEPS - b), a * (STEPS - b), (STEPS - a) * b, a * b};
+  const auto share = [](int x, int y) { return static_cast<std::uint16_t>(x * y); };
+  const std::uint16_t weight[] = {share(STEPS - a, STEPS - b), share(a, STEPS - b),
+                                  share(STEPS - a, b), share(a, b)};
   int sum = 0, squares = 0;
-  for (int j = 0; j < MACROBLOCK; j += FOURTH)
-    compare(now.row(top + j) + left, then.row(under + j) + there, then.row(under + j + 1) + there,
-            weight, sum, squares);
+  for (int j = 0; j < MACROBLOCK; j += FOURTH) {
+    const std::uint8_t *upper = then.row(under + j) + there,
+                       *lower = then.row(under + j + 1) + there;
+    __builtin_prefetch(upper + AHEAD);
+    __builtin_prefetch(lower + AHEAD);
+    compare(now.row(top + j) + left, upper, lower, weight, sum, squares);
+  }
   constexpr float n = MACROBLOCK * MACROBLOCK / FOURTH;
   return (static_cast<float>(squares) - static_cast<float>(sum) * static_cast<float>(sum) / n) / n;
 }
@@ -108,15 +125,16 @@ py::object match_sigma(const py::object& picture, const py::object& before,
   const In<float> sigma(name, "sigma", given, {x_cur.size()}, Check::finite);
   const Picture& one = now ? *now : *then;
   const In<float>& x = now ? x_cur : x_prev;
-  const std::vector<float> shown = texture(one);
+  const int columns = macroblocks(one.width), rows = macroblocks(one.height);
   Out<float> out({x_cur.size()});
   for (py::ssize_t i = 0; i < x_cur.size(); ++i) {
     const Vec2 vector = at(x_prev, i) - at(x_cur, i);
     const float left = now && then ? residual(*now, *then, at(x_cur, i), vector) : USUAL;
     const float noise = NOISE * NOISE + SHARE * left;
-    const int macroblock =
-        nearest_macroblock(at(x, i), macroblocks(one.width), macroblocks(one.height));
-    const float variance = noise / (shown[macroblock] + noise / (SMOOTH * SMOOTH));
+    const int column = std::clamp(macroblock_of(x(i, 0)), 0, columns - 1);
+    const int row = std::clamp(macroblock_of(x(i, 1)), 0, rows - 1);
+    const float shown = texture(one, column, row);
+    const float variance = noise / (shown + noise / (SMOOTH * SMOOTH));
     out[i] = std::sqrt(sigma[i] * sigma[i] + variance);
   }
   return out.array();
