@@ -34,11 +34,11 @@ inline float length(Vec2 a) {
 inline Vec2 at(const In<float>& rows, py::ssize_t i) { return {rows[2 * i], rows[2 * i + 1]}; }
 
 // Column or row of the macroblock, or of the cell, that holds a coordinate [px].
-inline int floor_of(float x) {  // without the library, which x86-64 calls for each number
-  const float held = std::clamp(x, -1e6f, 1e6f);
-  const int towards_zero = static_cast<int>(held);
-  return towards_zero - (static_cast<float>(towards_zero) > held);
+inline int floor_within(float x) {  // without the library, which x86-64 calls for each number
+  const int towards_zero = static_cast<int>(x);
+  return towards_zero - (static_cast<float>(towards_zero) > x);
 }
+inline int floor_of(float x) { return floor_within(std::clamp(x, -1e6f, 1e6f)); }
 inline int macroblock_of(float x) { return floor_of((x + 0.5f) / MACROBLOCK); }
 inline int cell_of(float x, int size) { return floor_of((x + 0.5f - 0.5f * size) / CELL); }
 inline int macroblocks(int pixels) { return (pixels + MACROBLOCK - 1) / MACROBLOCK; }
@@ -49,15 +49,16 @@ inline int nearest_macroblock(Vec2 x, int columns, int rows) {
          std::clamp(macroblock_of(x.x), 0, columns - 1);
 }
 
-// 2^x from additions and products alone: libraries differ in the last bit between processors.
-inline double power_of_two(double x) {
+// 2^x, for x from -1000 to 1000, from additions and products alone: libraries differ in the last
+// bit between processors. There are no branches, so that the compiler can take several at a time.
+inline double power_of_two(float x) {
   constexpr double COEFFICIENT[] = {  // (ln 2)^k / k!; the rest lies below 1e-13
       1.0, 0.69314718055994530942, 0.24022650695910071233, 0.055504108664821579953,
       0.0096181291076284771620, 0.0013333558146428443423, 1.5403530393381609954e-4,
       1.5252733804059840280e-5, 1.3215486790144309488e-6, 1.0178086009239699728e-7,
       7.0549116208011233299e-9, 4.4455382718708114976e-10};
-  const int whole = floor_of(static_cast<float>(std::clamp(x, -1000.0, 1000.0)) + 0.5f);
-  const double part = std::clamp(x, -1000.0, 1000.0) - whole;
+  const int whole = floor_within(x + 0.5f);
+  const double part = double(x) - whole;
   double sum = 0;
   for (int k = 11; k >= 0; --k) sum = sum * part + COEFFICIENT[k];
   const std::uint64_t bits = static_cast<std::uint64_t>(1023 + whole) << 52;  // 2^whole

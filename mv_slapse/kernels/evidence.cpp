@@ -89,7 +89,7 @@ std::vector<float> leaning(const Picture& p) {
       const Vec2 median{middle(use[0].x, use[1].x, use[2].x), middle(use[0].y, use[1].y, use[2].y)};
       const Vec2 gap = at(p.displacement, i) - (there == 1 ? only : median);
       const float largest = std::max(std::abs(gap.x), std::abs(gap.y));
-      lean[i] = -p.rise * static_cast<float>(power_of_two(-largest / HALVING));
+      lean[i] = -p.rise * static_cast<float>(power_of_two(std::max(-largest / HALVING, -1000.0f)));
     }
   }
   return lean;
