@@ -109,14 +109,17 @@ KERNELS_INLINE bool compare(const Picture& picture, Vec2 x, const Patch<HEIGHT>&
   if (left < 0 || top < 0 || left + WIDTH >= picture.width || top + HEIGHT >= picture.height)
     return false;
   const float a = x.x - static_cast<float>(left), b = x.y - static_cast<float>(top);
-  for (int j = 0; j < HEIGHT; ++j) {
-    const std::uint8_t *upper = picture.row(top + j) + left, *lower = picture.row(top + j + 1) + left;
-    for (int i = 0; i < WIDTH; ++i) {
-      const float one = upper[i], next = upper[i + 1], below = lower[i], last = lower[i + 1];
-      const float over = one + a * (next - one), under = below + a * (last - below);
-      out.value[j * WIDTH + i] = patch.value[j * WIDTH + i] - (over + b * (under - over));
-    }
+  float level[HEIGHT + 1][WIDTH];  // of rows, between the columns
+  for (int j = 0; j <= HEIGHT; ++j) {
+    const std::uint8_t* row = picture.row(top + j) + left;
+#pragma GCC unroll 1  // else the compiler takes one pixel at a time
+    for (int i = 0; i < WIDTH; ++i)
+      level[j][i] = static_cast<float>(row[i]) + a * static_cast<float>(row[i + 1] - row[i]);
   }
+  for (int j = 0; j < HEIGHT; ++j)
+    for (int i = 0; i < WIDTH; ++i)
+      out.value[j * WIDTH + i] =
+          patch.value[j * WIDTH + i] - (level[j][i] + b * (level[j + 1][i] - level[j][i]));
   take_mean_off(out);
   return true;
 }
@@ -184,42 +187,42 @@ KERNELS_INLINE bool look(const Picture& picture, int left, int top, Shown<HEIGHT
   return true;
 }
 
-// One step of a vector towards what a patch shows, and away from where it began as it is known;
-// false where the other picture ends. What the patch differs by is left in `apart`.
+// A vector one step further towards what a patch shows, and away from where it began as it is
+// known; `apart` is what the patch differs by.
 template <int HEIGHT>
-KERNELS_INLINE bool step(const Picture& then, Vec2 corner, const Shown<HEIGHT>& patch,
-                         const Symmetric& known, Vec2 start, Patch<HEIGHT>& apart, Vec2& vector) {
-  if (!compare(then, corner + vector, patch.value, apart)) return false;
+KERNELS_INLINE Vec2 step(const Shown<HEIGHT>& patch, const Symmetric& known, Vec2 start,
+                         const Patch<HEIGHT>& apart, Vec2 vector) {
   const Vec2 slope{product(patch.by_x, apart), product(patch.by_y, apart)};
-  vector = vector +
-           solve(SURE * patch.texture + known, SURE * slope - known * (vector - start));
-  return true;
+  return vector + solve(SURE * patch.texture + known, SURE * slope - known * (vector - start));
 }
 
 // The vector of the strip whose first pixel lies at (left, top), from the best of some; false where
-// it is not sharp or leaves one of the pictures.
-KERNELS_WIDE bool find(const Picture& now, const Picture& then, int left, int top,
-                       const Symmetric& known, const std::vector<Vec2>& starts, Strip& out) {
+// it is not sharp or leaves one of the pictures. In registers of the usual width: wide ones take so
+// few rows no faster.
+bool find(const Picture& now, const Picture& then, int left, int top, const Symmetric& known,
+          const std::vector<Vec2>& starts, Strip& out) {
   Shown<HEIGHT> strip;
-  Patch<HEIGHT> apart;
+  Patch<HEIGHT> apart, other;
   if (!look(now, left, top, strip)) return false;
   if (variance(SURE * strip.texture + known) >= SHARP * SHARP) return false;  // whatever is there
   const Vec2 corner{static_cast<float>(left), static_cast<float>(top)};
   Vec2 start{};
   float best = INFINITY;
   for (const Vec2& each : starts) {
-    if (!compare(then, corner + each, strip.value, apart)) continue;
-    const float misfit = product(apart, apart);
+    if (!compare(then, corner + each, strip.value, other)) continue;
+    const float misfit = product(other, other);
     if (misfit < best) {
       best = misfit;
       start = each;
+      apart = other;
     }
   }
   if (!std::isfinite(best)) return false;
   Vec2 vector = start;
-  for (int k = 0; k < STEPS; ++k)
-    if (!step(then, corner, strip, known, start, apart, vector)) return false;
-  if (!compare(then, corner + vector, strip.value, apart)) return false;
+  for (int k = 0; k < STEPS; ++k) {
+    vector = step(strip, known, start, apart, vector);
+    if (!compare(then, corner + vector, strip.value, apart)) return false;
+  }
   const float noise = NOISE * NOISE + SHARE * product(apart, apart) / apart.PIXELS;
   const Vec2 middle{0.5f * (WIDTH - 1), 0.5f * (HEIGHT - 1)};
   out = {corner + middle, vector, variance(1 / noise * strip.texture + known)};
@@ -236,8 +239,10 @@ KERNELS_WIDE Vec2 refined(const Picture& now, const Picture& then, Vec2 x, Vec2 
   Patch<MACROBLOCK> apart;
   if (!look(now, left, top, shown)) return start;
   Vec2 vector = start;
-  for (int k = 0; k < STEPS; ++k)
-    if (!step(then, corner, shown, known, start, apart, vector)) return start;
+  for (int k = 0; k < STEPS; ++k) {
+    if (!compare(then, corner + vector, shown.value, apart)) return start;
+    vector = step(shown, known, start, apart, vector);
+  }
   return vector;
 }
 
@@ -261,13 +266,17 @@ py::object refine(const py::object& picture, const py::object& before, const py:
 struct Columns {  // of a pair, as they grow
   std::vector<float> x_cur, x_prev, sigma, probability;
   std::vector<std::uint8_t> block;
+
+  explicit Columns(py::ssize_t usual) {
+    for (auto* column : {&x_cur, &x_prev, &sigma, &probability}) column->reserve(2 * usual);
+    block.reserve(2 * usual);
+  }
   void add(Vec2 x, Vec2 match, float sigma_, float probability_, int width, int height) {
-    x_cur.insert(x_cur.end(), {x.x, x.y});
-    x_prev.insert(x_prev.end(), {match.x, match.y});
+    for (const float coordinate : {x.x, x.y}) x_cur.push_back(coordinate);
+    for (const float coordinate : {match.x, match.y}) x_prev.push_back(coordinate);
     sigma.push_back(sigma_);
     probability.push_back(probability_);
-    block.push_back(static_cast<std::uint8_t>(width));
-    block.push_back(static_cast<std::uint8_t>(height));
+    for (const int side : {width, height}) block.push_back(static_cast<std::uint8_t>(side));
   }
 };
 
@@ -292,7 +301,7 @@ py::tuple strips(const py::object& picture, const py::object& before, const py::
   const auto field = field_of(name, py::make_tuple(pair[0], pair[1], pair[3]), columns, rows);
   const float least = least_supported(probability);
   const float floor = STRIPS * vector_sigma * vector_sigma;
-  Columns out;
+  Columns out(n + n / 2);
   std::vector<Vec2> starts;
   for (py::ssize_t i = 0; i < n; ++i) {
     const Vec2 x = at(x_cur, i), off = x - point;
@@ -303,7 +312,8 @@ py::tuple strips(const py::object& picture, const py::object& before, const py::
       const int macroblock = nearest_macroblock(x, columns, rows);
       starts.assign(1, at(x_prev, i) - x);
       for (const int other : {macroblock - columns, macroblock + columns})
-        if (other >= 0 && other < columns * rows && std::isfinite(field[other].x))
+        if (other >= 0 && other < columns * rows && std::isfinite(field[other].x) &&
+            !is_zero(field[other] - starts[0]))
           starts.push_back(field[other]);
       const Symmetric known = beforehand(off, vector_sigma);
       for (int k = 0; k < STRIPS; ++k)
