@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "blocks.hpp"
+#include "lanes.hpp"
 
 namespace kernels {
 namespace {
@@ -40,9 +41,8 @@ struct Picture {
   }
   py::ssize_t size() const { return x.size(); }
   bool is(py::ssize_t i, int side) const { return direction[i] == (side == PAST ? -1 : 1); }
-  bool any(int side) const {
-    const auto* end = direction.data() + size();
-    return std::find(direction.data(), end, side == PAST ? -1 : 1) != end;
+  py::ssize_t number(int side) const {
+    return std::count(direction.data(), direction.data() + size(), side == PAST ? -1 : 1);
   }
   // Number of the cell at the upper left corner of a block; -1 outside the picture.
   int cell(py::ssize_t i) const {
@@ -52,22 +52,39 @@ struct Picture {
   }
 };
 
+// Rises [px] of vectors that are so far [px] from their predictions, in place of these.
+KERNELS_WIDE void rises(float most, int n, float* away) {
+  for (int i = 0; i < n; ++i)
+    away[i] = most * static_cast<float>(power_of_two(-away[i] / HALVING));
+}
+
 // Way [px] along the column from the middle of each block to where its vector tells of, see
 // `prediction.py`; prediction of ITU-T H.264, 8.4.1.3.
 std::vector<float> leaning(const Picture& p) {
   std::vector<float> lean(p.size(), 0.0f);
   if (p.rise == 0) return lean;
   constexpr Vec2 NONE{std::numeric_limits<float>::quiet_NaN(), 0};
+  constexpr float FARTHEST = 250;  // px, beyond which the rise is nothing
   std::vector<Vec2> table(p.columns * p.rows);
-  std::vector<int> cells(p.size());
+  std::vector<int> cells(p.size()), large, which;
+  std::vector<float> away;
+  large.reserve(p.size());
+  which.reserve(p.size());
+  away.reserve(p.size());
   for (py::ssize_t i = 0; i < p.size(); ++i) cells[i] = p.cell(i);
   for (const int side : {PAST, FUTURE}) {
-    if (!p.any(side)) continue;
+    if (!p.number(side)) continue;
     std::fill(table.begin(), table.end(), NONE);
-    for (const auto& [dx, dy] : {std::array{0, 0}, {1, 0}, {0, 1}, {1, 1}})
-      for (py::ssize_t i = 0; i < p.size(); ++i)
-        if (p.is(i, side) && p.block(i, 0) > CELL * dx && p.block(i, 1) > CELL * dy)
-          if (cells[i] >= 0) table[cells[i] + dy * p.columns + dx] = at(p.displacement, i);
+    large.clear();
+    for (py::ssize_t i = 0; i < p.size(); ++i) {
+      if (!p.is(i, side) || cells[i] < 0 || !p.block(i, 0) || !p.block(i, 1)) continue;
+      table[cells[i]] = at(p.displacement, i);
+      if (p.block(i, 0) > CELL || p.block(i, 1) > CELL) large.push_back(static_cast<int>(i));
+    }
+    for (const auto& [dx, dy] : {std::array{1, 0}, {0, 1}, {1, 1}})
+      for (const int i : large)
+        if (p.block(i, 0) > CELL * dx && p.block(i, 1) > CELL * dy)
+          table[cells[i] + dy * p.columns + dx] = at(p.displacement, i);
     for (py::ssize_t i = 0; i < p.size(); ++i) {
       const int cell = cells[i];
       if (!p.is(i, side) || p.block(i, 0) != MACROBLOCK || p.block(i, 1) != MACROBLOCK || cell < 0)
@@ -89,9 +106,12 @@ std::vector<float> leaning(const Picture& p) {
       const Vec2 median{middle(use[0].x, use[1].x, use[2].x), middle(use[0].y, use[1].y, use[2].y)};
       const Vec2 gap = at(p.displacement, i) - (there == 1 ? only : median);
       const float largest = std::max(std::abs(gap.x), std::abs(gap.y));
-      lean[i] = -p.rise * static_cast<float>(power_of_two(std::max(-largest / HALVING, -1000.0f)));
+      which.push_back(static_cast<int>(i));
+      away.push_back(std::min(largest, FARTHEST));
     }
   }
+  rises(-p.rise, static_cast<int>(away.size()), away.data());
+  for (std::size_t k = 0; k < which.size(); ++k) lean[which[k]] = away[k];
   return lean;
 }
 
@@ -121,33 +141,29 @@ std::vector<Both> both(const Picture& p, float share, float slack, float toleran
   return out;
 }
 
-// Rows of evidence as they are found.
+// Rows of evidence, whose number is known beforehand.
 struct Rows {
-  std::vector<float> x, vector, variance;
-  std::vector<std::uint8_t> block;
+  Out<float> x, vector, variance;
+  Out<std::uint8_t> block;
+  py::ssize_t there = 0;
 
-  explicit Rows(py::ssize_t most) {
-    x.reserve(2 * most);
-    vector.reserve(2 * most);
-    variance.reserve(most);
-    block.reserve(2 * most);
-  }
+  explicit Rows(py::ssize_t n) : x({n, 2}), vector({n, 2}), variance({n}), block({n, 2}) {}
   void add(Vec2 place, Vec2 way, float var, const Picture& p, py::ssize_t i) {
-    x.insert(x.end(), {place.x, place.y});
-    vector.insert(vector.end(), {way.x, way.y});
-    variance.push_back(var);
-    block.insert(block.end(), {p.block(i, 0), p.block(i, 1)});
+    x(there, 0) = place.x, x(there, 1) = place.y;
+    vector(there, 0) = way.x, vector(there, 1) = way.y;
+    variance[there] = var;
+    block(there, 0) = p.block(i, 0), block(there, 1) = p.block(i, 1);
+    ++there;
   }
   py::tuple arrays() const {
-    return py::make_tuple(array_of(x, 2), array_of(vector, 2), array_of(variance),
-                          array_of(block, 2));
+    return py::make_tuple(x.array(), vector.array(), variance.array(), block.array());
   }
 };
 
 py::tuple direct(const py::tuple& frame) {
   const Picture p("direct", frame);
   const auto lean = leaning(p);
-  Rows out(p.size());
+  Rows out(p.number(PAST));
   for (py::ssize_t i = 0; i < p.size(); ++i)
     if (p.is(i, PAST))
       out.add({p.x(i, 0), p.x(i, 1) + lean[i]}, at(p.displacement, i), 1, p, i);
@@ -157,8 +173,9 @@ py::tuple direct(const py::tuple& frame) {
 py::tuple indirect(const py::tuple& frame, float share, float slack, float tolerance) {
   const Picture p("indirect", frame);
   const auto lean = leaning(p);
-  Rows out(p.size());
-  for (const auto& [past, future, good] : both(p, share, slack, tolerance)) {
+  const std::vector<Both> pairs = both(p, share, slack, tolerance);
+  Rows out(std::count_if(pairs.begin(), pairs.end(), [](const Both& pair) { return pair.good; }));
+  for (const auto& [past, future, good] : pairs) {
     if (!good) continue;
     const Vec2 to_future = at(p.displacement, future);
     const Vec2 place{p.x(past, 0), p.x(past, 1) + 0.5f * (lean[past] + lean[future])};
@@ -172,9 +189,12 @@ py::tuple halves(const py::tuple& frame, float share, float slack, float toleran
   const Picture p("halves", frame);
   const auto lean = leaning(p);
   std::vector<bool> wrong(p.size(), false);
-  for (const auto& [past, future, good] : both(p, share, slack, tolerance))
+  py::ssize_t bent = 0;  // one to each side
+  for (const auto& [past, future, good] : both(p, share, slack, tolerance)) {
+    bent += !good;
     if (!good) wrong[past] = wrong[future] = true;
-  Rows first(p.size()), second(p.size());
+  }
+  Rows first(p.number(PAST) - bent), second(p.number(FUTURE) - bent);
   for (py::ssize_t i = 0; i < p.size(); ++i) {
     if (wrong[i]) continue;
     // Each block is all that its macroblock has, and stays in it.
