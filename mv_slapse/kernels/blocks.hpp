@@ -43,10 +43,14 @@ inline int macroblock_of(float x) { return floor_of((x + 0.5f) / MACROBLOCK); }
 inline int cell_of(float x, int size) { return floor_of((x + 0.5f - 0.5f * size) / CELL); }
 inline int macroblocks(int pixels) { return (pixels + MACROBLOCK - 1) / MACROBLOCK; }
 
-// Number of the macroblock at a pixel, row by row; the nearest one where it lies outside.
+// Column or row of the macroblock at a coordinate, or of the nearest one of n.
+inline int nearest_of(float x, int n) {
+  const float place = std::max((x + 0.5f) / MACROBLOCK, 0.0f);
+  return static_cast<int>(std::min(place, static_cast<float>(n - 1)));
+}
+// Number of that at a pixel, row by row.
 inline int nearest_macroblock(Vec2 x, int columns, int rows) {
-  return std::clamp(macroblock_of(x.y), 0, rows - 1) * columns +
-         std::clamp(macroblock_of(x.x), 0, columns - 1);
+  return nearest_of(x.y, rows) * columns + nearest_of(x.x, columns);
 }
 
 // 2^x, for x from -1000 to 1000, from additions and products alone: libraries differ in the last

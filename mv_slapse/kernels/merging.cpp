@@ -288,20 +288,26 @@ py::tuple borne_out(const py::tuple& columns, const py::tuple& pair, int width, 
                     float slack, double tolerance) {
   const Evidence e("borne_out", columns);
   require(width > 0 && height > 0, "borne_out", "the picture has no size");
-  const auto field = field_of("borne_out", pair, macroblocks(width), macroblocks(height));
+  const int columns_ = macroblocks(width), rows = macroblocks(height);
+  const auto field = field_of("borne_out", pair, columns_, rows);
   const Agreement within{slack, static_cast<float>(OWN_SHARE * tolerance)};
-  double right[2] = {}, all[2] = {};
+  std::int64_t right = 0, all = 0, direct_right = 0, direct_all = 0;
   bool direct = false;
   for (py::ssize_t i = 0; i < e.size(); ++i) {
-    const bool is_direct = e.variance[i] < 2;
     const Vec2 vector = at(e.vector, i);
+    const Vec2 merged = field[nearest_macroblock(at(e.x, i), columns_, rows)];
     const float reach = within.reach(vector);
-    const Vec2 merged = field[nearest_macroblock(at(e.x, i), macroblocks(width), macroblocks(height))];
-    all[is_direct] += e.area(i);
-    if (square(vector - merged) < reach * reach) right[is_direct] += e.area(i);
+    const int area = e.block(i, 0) * e.block(i, 1);
+    const int agrees = square(vector - merged) < reach * reach ? area : 0;
+    const bool is_direct = e.variance[i] < 2;
+    all += area;
+    right += agrees;
+    direct_all += is_direct ? area : 0;
+    direct_right += is_direct ? agrees : 0;
     direct |= is_direct;
   }
-  return py::make_tuple(static_cast<float>(right[direct]) / static_cast<float>(all[direct]), direct);
+  if (direct) all = direct_all, right = direct_right;
+  return py::make_tuple(static_cast<float>(right) / static_cast<float>(all), direct);
 }
 
 }  // namespace

@@ -131,9 +131,7 @@ py::object match_sigma(const py::object& picture, const py::object& before,
     const Vec2 vector = at(x_prev, i) - at(x_cur, i);
     const float left = now && then ? residual(*now, *then, at(x_cur, i), vector) : USUAL;
     const float noise = NOISE * NOISE + SHARE * left;
-    const int column = std::clamp(macroblock_of(x(i, 0)), 0, columns - 1);
-    const int row = std::clamp(macroblock_of(x(i, 1)), 0, rows - 1);
-    const float shown = texture(one, column, row);
+    const float shown = texture(one, nearest_of(x(i, 0), columns), nearest_of(x(i, 1), rows));
     const float variance = noise / (shown + noise / (SMOOTH * SMOOTH));
     out[i] = std::sqrt(sigma[i] * sigma[i] + variance);
   }
