@@ -310,22 +310,32 @@ py::tuple vote_macroblocks(const py::object& x_, const py::object& block_, const
     winner[k] = static_cast<std::int8_t>(*best > 0 ? best - own : -1);
     plane_of[k] = -1;
   }
-  std::vector<Vote> won;
+  // Most macroblocks have votes for one plane alone; those of the others are sorted to be counted.
+  std::vector<char> voted(grid.size()), several(grid.size());
+  const auto won = [&](py::ssize_t i) { return cell[i] >= 0 && label[i] == winner[cell[i]]; };
+  for (py::ssize_t i = 0; i < n; ++i) {
+    if (!won(i)) continue;
+    if (!voted[cell[i]]) plane_of[cell[i]] = plane[i];
+    voted[cell[i]] = true;
+    several[cell[i]] |= plane_of[cell[i]] != plane[i];
+  }
+  std::vector<Vote> split;
   for (py::ssize_t i = 0; i < n; ++i)
-    if (cell[i] >= 0 && label[i] == winner[cell[i]]) won.push_back({cell[i], plane[i], area(i)});
-  std::sort(won.begin(), won.end(), [](const Vote& a, const Vote& b) {
+    if (won(i) && several[cell[i]]) split.push_back({cell[i], plane[i], area(i)});
+  std::sort(split.begin(), split.end(), [](const Vote& a, const Vote& b) {
     return a.cell != b.cell ? a.cell < b.cell : a.plane < b.plane;
   });
-  std::vector<double> most(grid.size());
-  for (std::size_t i = 0, end; i < won.size(); i = end) {
+  double most = 0;
+  for (std::size_t i = 0, end; i < split.size(); i = end) {
+    if (i == 0 || split[i - 1].cell != split[i].cell) most = 0;
     double sum = 0;
-    for (end = i; end < won.size() && won[end].cell == won[i].cell &&
-                  won[end].plane == won[i].plane;
+    for (end = i; end < split.size() && split[end].cell == split[i].cell &&
+                  split[end].plane == split[i].plane;
          ++end)
-      sum += won[end].area;
-    if (sum > most[won[i].cell]) {
-      most[won[i].cell] = sum;
-      plane_of[won[i].cell] = won[i].plane;
+      sum += split[end].area;
+    if (sum > most) {
+      most = sum;
+      plane_of[split[i].cell] = split[i].plane;
     }
   }
   return py::make_tuple(winner.array(), plane_of.array());
