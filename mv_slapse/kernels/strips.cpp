@@ -77,9 +77,10 @@ struct Patch {
 };
 
 KERNELS_INLINE float sum(const float (&column)[WIDTH]) {
-  float out = 0;
-  for (int i = 0; i < WIDTH; ++i) out += column[i];
-  return out;
+  float part[WIDTH / 4];
+  for (int i = 0; i < WIDTH / 4; ++i)
+    part[i] = (column[i] + column[i + 4]) + (column[i + 8] + column[i + 12]);
+  return (part[0] + part[1]) + (part[2] + part[3]);
 }
 
 template <int HEIGHT>
@@ -197,10 +198,9 @@ KERNELS_INLINE Vec2 step(const Shown<HEIGHT>& patch, const Symmetric& known, Vec
 }
 
 // The vector of the strip whose first pixel lies at (left, top), from the best of some; false where
-// it is not sharp or leaves one of the pictures. In registers of the usual width: wide ones take so
-// few rows no faster.
-bool find(const Picture& now, const Picture& then, int left, int top, const Symmetric& known,
-          const std::vector<Vec2>& starts, Strip& out) {
+// it is not sharp or leaves one of the pictures.
+KERNELS_WIDE bool find(const Picture& now, const Picture& then, int left, int top,
+                       const Symmetric& known, const std::vector<Vec2>& starts, Strip& out) {
   Shown<HEIGHT> strip;
   Patch<HEIGHT> apart, other;
   if (!look(now, left, top, strip)) return false;
