@@ -71,14 +71,6 @@ inline double power_of_two(float x) {
   return sum * scale;
 }
 
-// Median of values, which are reordered; the mean of the two in the middle of an even number.
-inline float median(std::vector<float>& values) {
-  const auto half = values.size() / 2;
-  const float middle = nth_smallest(values.data(), values.size(), half);
-  if (values.size() % 2) return middle;
-  return (*std::max_element(values.begin(), values.begin() + half) + middle) / 2;
-}
-
 // Smallest probability of a vector that others support, see `Correspondences.lone`.
 inline float least_supported(const In<float>& probability) {
   float most = 0;

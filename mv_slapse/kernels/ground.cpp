@@ -13,12 +13,6 @@ namespace {
 
 constexpr double PI = 3.14159265358979323846;
 
-double median(std::vector<double>& values) {
-  const auto n = values.size();
-  const double middle = nth_smallest(values.data(), n, n / 2);
-  return n % 2 ? middle : 0.5 * (*std::max_element(values.data(), values.data() + n / 2) + middle);
-}
-
 // Rays, inverse depths, their standard deviations and pixels of N blocks.
 struct Depths {
   In<double> ray, rho, sigma, x;

@@ -58,14 +58,6 @@ inline void check_first(const char* kernel, const In<std::int64_t>& first, py::s
             kernel, "first must rise from 0 and stay below the number of blocks");
 }
 
-inline double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto half = values.size() / 2;
-  const double middle = nth_smallest(values.data(), values.size(), half);
-  if (values.size() % 2) return middle;
-  return 0.5 * (middle + *std::max_element(values.begin(), values.begin() + half));
-}
-
 // The grid of the smallest blocks, and who covers it.
 class BlockGrid {
  public:

@@ -93,6 +93,15 @@ T nth_smallest(T* from, std::size_t n, std::size_t at) {
   return *from;
 }
 
+// Median of values: the mean of the two in the middle of an even number, 0 of none.
+template <typename T>
+T median(std::vector<T> values) {
+  const auto n = values.size();
+  if (!n) return 0;
+  const T middle = nth_smallest(values.data(), n, n / 2);
+  return n % 2 ? middle : (*std::max_element(values.data(), values.data() + n / 2) + middle) / 2;
+}
+
 // Eigenvalues in rising order and eigenvectors (columns) of a symmetric matrix, by Jacobi rotations.
 inline void eigen_symmetric(const Mat3& symmetric, Vec3& values, Mat3& vectors) {
   Mat3 A = symmetric;

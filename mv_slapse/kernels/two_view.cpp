@@ -16,13 +16,6 @@ Blocks::Blocks(std::size_t n) : count(n) {
   std::fill_n(counts.begin(), n, 1);
 }
 
-double median(std::vector<double>& values) {
-  const auto half = values.size() / 2;
-  const double middle = nth_smallest(values.data(), values.size(), half);
-  if (values.size() % 2) return middle;
-  return 0.5 * (middle + *std::max_element(values.begin(), values.begin() + half));
-}
-
 void tangent_basis(const Vec3& direction, Vec3& first, Vec3& second) {
   std::size_t least = 0;
   for (std::size_t i = 1; i < 3; ++i)

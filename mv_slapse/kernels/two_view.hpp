@@ -72,8 +72,6 @@ Equations<9> plane_terms(const Blocks& blocks, const TwoView& view, const Vec3& 
 double normal_equations(const std::vector<Blocks>& groups, const TwoView& view,
                         const double* planes, const Joint& joint, double* A, double* b);
 
-double median(std::vector<double>& values);  // of one at least; reorders them
-
 // Two unit vectors normal to a direction and to each other.
 void tangent_basis(const Vec3& direction, Vec3& first, Vec3& second);
 
