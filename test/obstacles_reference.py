@@ -337,7 +337,7 @@ def transfer(theta: np.ndarray, rays: np.ndarray, centre: np.ndarray, K: np.ndar
 
 
 def redetected_rate(mu, P, rays, target, variance, view, limit):
-    """Return displacement over depth, its information, and which blocks move so (N,), twice."""
+    """Return displacement over depth, its covariance, and which blocks move so (N,), twice."""
     prior = view.dt**2 * P[RATE, RATE]
     theta = np.r_[view.dt * mu[RATE], mu[SLOPE]]
     weak = redetection.WEAK * np.linalg.inv(prior)  # one block alone leaves the rate open
@@ -357,7 +357,7 @@ def redetected_rate(mu, P, rays, target, variance, view, limit):
     own = near & (squared < limit)
     information = np.einsum('nij,nik->jk', J[own] / variance[own, None, None], J[own]) + weak
     spread = squared[own].sum() / max(2 * own.sum() - 3, 1)
-    return theta[moving_plane.RATE], information / max(spread, 1.0), near, own
+    return theta[moving_plane.RATE], max(spread, 1.0) * np.linalg.inv(information), near, own
 
 
 def _errors(theta, mu, rays, target, view):

@@ -6,15 +6,16 @@ so on to the anchor, the last key frame that was published.
 """
 
 from collections import deque
+from operator import attrgetter
 
 from mv_slapse.changed import replace
 from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.camera import Camera, undistort
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Correspondences, SegmentKind
-import numpy as np
 
 SAMPLE = 400  # correspondences that are enough to measure the parallax
+_columns = attrgetter('x_cur', 'x_prev', 'sigma', 'probability', 'block')  # of a pair
 FEWEST = 8  # correspondences that tell a parallax: three unknowns of a rotation, robustly
 
 
@@ -77,10 +78,6 @@ def chain(newer: Correspondences, older: Correspondences,
     return replace(newer, previous_stamp=older.previous_stamp, kind=SegmentKind.CHAINED,
                    n_b=newer.n_b + older.n_b, block=block,
                    **dict(zip(('x_cur', 'x_prev', 'sigma', 'probability'), columns, strict=True)))
-
-
-def _columns(pair: Correspondences) -> tuple[np.ndarray, ...]:
-    return pair.x_cur, pair.x_prev, pair.sigma, pair.probability, pair.block
 
 
 def median_flow(pair: Correspondences) -> float:

@@ -1,7 +1,6 @@
 """Cameras: intrinsics, lens models, and points between distorted and ideal pixels."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import cv2
 from mv_slapse.errors import UnusableInput
@@ -34,18 +33,14 @@ class Camera:
             raise UnusableInput(f'lens model {self.lens!r} is not supported; '
                                 f'use one of {", ".join(LENS_MODELS)}')
 
-    @cached_property
-    def bends(self) -> bool:
-        """Tell whether the picture is no pinhole's: r = f theta is none, whatever D is."""
-        return self.lens == 'equidistant' or bool(np.any(self.distortion))
-
 
 def undistort(camera: Camera, x: np.ndarray) -> np.ndarray:
     """Return ideal pixels (N, 2) of pixels (N, 2) seen through the lens."""
-    if not camera.bends or not len(x):
+    is_fisheye = camera.lens == 'equidistant'  # whose r = f theta is no pinhole's, whatever D is
+    if not len(x) or not is_fisheye and not camera.distortion.any():
         return x.copy()
     x = np.asarray(x, float)
-    if camera.lens == 'equidistant':
+    if is_fisheye:
         return cv2.fisheye.undistortPoints(x[:, None], camera.K, camera.distortion[:4],
                                            P=camera.K)[:, 0]
     # OpenCV's own five iterations leave 0.2 px in the corners of a wide lens.
@@ -62,13 +57,6 @@ def to_rays(K: np.ndarray, x: np.ndarray) -> np.ndarray:
     if K[0, 1]:
         xy[:, 0] -= K[0, 1] / K[0, 0] * xy[:, 1]
     return rays
-
-
-def inverse(K: np.ndarray) -> np.ndarray:
-    """Return K^-1 (3, 3)."""
-    (fx, skew, cx), (_, fy, cy), _ = K.tolist()
-    return np.array([[1 / fx, -skew / (fx * fy), (skew * cy / fy - cx) / fx],
-                     [0.0, 1 / fy, -cy / fy], [0.0, 0.0, 1.0]])
 
 
 def to_pixels(K: np.ndarray, X: np.ndarray) -> np.ndarray:

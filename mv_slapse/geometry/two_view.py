@@ -46,10 +46,7 @@ class Pair:
 
 
 def numbers(mask, n: int) -> np.ndarray:
-    """Return the numbers that a mask, an index or a slice chooses of n.
-
-    To take rows by their numbers costs a third of what a mask does, which is counted each time.
-    """
+    """Return the numbers that a mask, an index or a slice chooses of n, for kernels."""
     if not isinstance(mask, np.ndarray):
         return np.arange(n)[mask]
     return mask.nonzero()[0] if mask.dtype == bool else mask

@@ -456,7 +456,7 @@ void transfer(const double* theta, const double* centre, const In<double>& rays,
 
 // The rate (3,) of an obstacle by the blocks where it must be, reweighted. view: K,
 // R_cur_from_prev; policy: limit of a squared distance, share of the prediction that counts as
-// seen, iterations, of these with a wider kernel -> rate dt (3,), information (3, 3), near, own
+// seen, iterations, of these with a wider kernel -> rate dt (3,), covariance (3, 3), near, own
 // (N,) bool
 py::tuple redetect_rate(const py::object& mu_, const py::object& prior_, const py::object& rays_,
                         const py::object& target_, const py::object& variance_, double dt,
@@ -540,7 +540,8 @@ py::tuple redetect_rate(const py::object& mu_, const py::object& prior_, const p
   const double spread = std::max(sum / std::max(2 * number - 3, 1), 1.0);
   Out<double> rate({3}), found({3, 3});
   for (int k = 0; k < 3; ++k) rate[k] = theta[k];
-  for (int k = 0; k < 9; ++k) found[k] = information[k] / spread;
+  const Mat3 unsure = inverse(information);
+  for (int k = 0; k < 9; ++k) found[k] = spread * unsure[k];
   return py::make_tuple(rate.array(), found.array(), near.array(), own.array());
 }
 

@@ -12,8 +12,9 @@ variance shows in the covariance where the vectors add nothing.
 
 from typing import NamedTuple
 
+import cv2
 from mv_slapse.geometry.blocks import COVERED
-from mv_slapse.geometry.camera import inverse, UP
+from mv_slapse.geometry.camera import UP
 from mv_slapse.geometry.rotation import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import ScalePrior
@@ -80,7 +81,7 @@ class Surfaces(NamedTuple):
 
 def homography(product: np.ndarray, K: np.ndarray, R_cur_from_prev: np.ndarray) -> np.ndarray:
     """Return H (..., 3, 3), x_prev ~ H x_cur, of moving planes by products, (11) of [MVO]."""
-    return K @ R_cur_from_prev.T @ (np.eye(3) + product) @ inverse(K)
+    return K @ R_cur_from_prev.T @ (np.eye(3) + product) @ cv2.invert(K)[1]
 
 
 def fit_surfaces(regions: Regions, view: View, ground: np.ndarray | None) -> Surfaces:

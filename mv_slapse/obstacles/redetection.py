@@ -35,9 +35,14 @@ def found(mu: np.ndarray, P: np.ndarray, box: np.ndarray, extraction: Extraction
         return None
 
     rays = to_rays(view.K, extraction.x_cur[at].astype(float))
-    theta, information, near, own = _rate(
-        mu, P, rays, extraction.x_prev[at].astype(float),
-        extraction.sigma[at].astype(float)**2 + settings.vector_bias**2, view)
+    # Near are the blocks that move as predicted, as far as that is known, own those of them that
+    # move as one. What lies behind an obstacle, or before it, may pass for its own by a prediction
+    # that lags, as where it brakes; it does not agree with the rest.
+    theta, covariance, near, own = compiled.redetect_rate(
+        mu, view.dt**2 * P[om.RATE, om.RATE], rays, extraction.x_prev[at].astype(float),
+        extraction.sigma[at].astype(float)**2 + settings.vector_bias**2, view.dt,
+        (view.K, view.R_cur_from_prev),
+        (ekf.chi2_bound(ekf.CONFIDENCE, 2), WEAK, ITERATIONS, COARSE))
     least = max(settings.min_macroblocks, detection.MOST * len(at))
     if not _fill(extraction, at[near], box, least):
         return None
@@ -47,7 +52,7 @@ def found(mu: np.ndarray, P: np.ndarray, box: np.ndarray, extraction: Extraction
     seen = detection.box_of(extraction.x_cur[at[own]].astype(float),
                             extraction.block[at[own]].astype(float))
     z, R = mu.copy(), np.diag(np.r_[0.0, 0.0, P[2, 2], np.zeros(3), np.full(2, FREE_SLOPE**2)])
-    z[om.RATE], R[om.RATE, om.RATE] = theta / view.dt, np.linalg.inv(information) / view.dt**2
+    z[om.RATE], R[om.RATE, om.RATE] = theta / view.dt, covariance / view.dt**2
     z[om.BEARING] = to_rays(view.K, (seen[:2] + seen[2:] / 2)[None])[0, :2]
     x, block = detection.tiles(box + FOLLOW * (seen - box))
     R[om.BEARING, om.BEARING] = 4 * detection.bearing_covariance(seen, block, view)
@@ -76,16 +81,3 @@ def _fill(extraction, own, box, number):
     low = extraction.x_cur[own, 1] > box[1] + box[3] / 2
     least = LEAST_COVERED * np.prod(box[2:])
     return bool(len(own) >= number and area.sum() >= least and area[low].sum() >= least / 2)
-
-
-def _rate(mu, P, rays, x_prev, variance, view):
-    """Return displacement over depth (3,), its information (3, 3), and which blocks (N,) bool.
-
-    The blocks that move as predicted, as far as that is known, and those of them that move as
-    one. What lies behind an obstacle, or before it, may pass for its own by a prediction that
-    lags, as where it brakes; it does not agree with the rest.
-    """
-    return compiled.redetect_rate(
-        mu, view.dt**2 * P[om.RATE, om.RATE], rays, x_prev, variance,
-        view.dt, (view.K, view.R_cur_from_prev),
-        (ekf.chi2_bound(ekf.CONFIDENCE, 2), WEAK, ITERATIONS, COARSE))

@@ -17,10 +17,8 @@ LINEAR = 0.2  # rad: beyond, a sine departs from its angle by 1 %
 
 def is_vague(state: SceneState) -> bool:
     """Tell whether the heading is too uncertain to be linear."""
-    P = state.P[THETA, THETA]
-    if P.trace() <= LINEAR**2:
-        return False
-    return bool(compiled.eigen_symmetric(np.ascontiguousarray(P))[0][-1] > LINEAR**2)
+    P = np.ascontiguousarray(state.P[THETA, THETA])
+    return bool(P.trace() > LINEAR**2 and compiled.eigen_symmetric(P)[0][-1] > LINEAR**2)
 
 
 def begin_anew(state: SceneState, is_metric: bool):

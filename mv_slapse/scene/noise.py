@@ -86,9 +86,7 @@ class Agreement:
 
 
 def measured(pair: two_view.Pair, R, t) -> tuple[float, float]:
-    """Return the variance of a mean of errors, over what independent ones would have.
-
-    And the median standard deviation of the vectors [px].
+    """Return the variance of a mean of errors over that of independent ones, and a median sigma.
 
     Errors are those across epipolar lines, which no plane has to explain. Each is weighed as the
     update weighs it; products with all errors in the window around add up to the variance.

@@ -186,25 +186,24 @@ def propagate(state: SceneState, dt: float, acceleration: float, angular_acceler
     F[THETA, OM:CAMERA], F[OM:, OM:CAMERA] = reach * UNIT, left * UNIT
     F[PLACE_NOW, VEL:OM] = dt * UNIT
     Q = np.zeros((CAMERA, CAMERA))
-    Q[NOISY] = [density**2 * moment
-                for density, (a, b, c) in ((acceleration, (dt**3 / 3, dt**2 / 2, dt)),
-                                           (angular_acceleration, _forgetful(dt, rate)))
-                for moment in (a, a, a, b, b, b, b, b, b, c, c, c)]
+    Q[NOISY] = [density**2 * moment for density, lost in ((acceleration, 0.0),
+                                                          (angular_acceleration, rate))
+                for moment in _moments(dt, lost) for _ in range(3)]
     state.previous = state.current.copy()
     state.current = Pose(state.current.R @ turn, state.current.t + state.velocity * dt)
     state.omega = left * state.omega
     ekf.predict_rows(state.error, np.arange(CAMERA), F, Q)
 
 
-def _forgetful(dt: float, rate: float) -> tuple[float, float, float]:
-    """Return the moments of an Ornstein-Uhlenbeck process of a rate [1/s] after dt [s].
+def _moments(dt: float, rate: float) -> tuple[float, float, float, float]:
+    """Return the covariance (2, 2) of the integral of a process after dt [s] and of the process.
 
-    Of unit noise: the variance of the integral, the covariance, the rate's variance.
+    One of Ornstein and Uhlenbeck with unit noise, which forgets at a rate [1/s]; 0: a random walk.
     """
     if not rate:
-        return dt**3 / 3, dt**2 / 2, dt
+        return dt**3 / 3, dt**2 / 2, dt**2 / 2, dt
     reach, variance = -np.expm1(-rate * dt) / rate, -np.expm1(-2 * rate * dt) / (2 * rate)
-    return (dt - 2 * reach + variance) / rate**2, reach**2 / 2, variance
+    return (dt - 2 * reach + variance) / rate**2, reach**2 / 2, reach**2 / 2, variance
 
 
 def doubt_speed(state: SceneState):
