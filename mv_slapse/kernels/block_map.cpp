@@ -274,65 +274,94 @@ KERNELS_INLINE Projected projected(const TwoView& view, const Four3& a, const Fo
   return out;
 }
 
-KERNELS_WIDE
-Fit terms(const Foretold& pair, const TwoView& view, double width) {
-  const Four one = Four{} + 1.0;
+// Sums over blocks, four at a time.
+struct FitSums {
+  Four A[21] = {}, b[6] = {};  // the lower triangle
+  Four cost = {}, length = {};
+};
+
+// Where ``equations`` is false, the cost alone.
+template <bool equations>
+KERNELS_INLINE FitSums sums_of(const Foretold& pair, const TwoView& view, double width) {
+  const Four zero = {}, one = zero + 1.0;
   const double softness = 1 / (width * width);
-  Four A[21] = {}, b[6] = {}, cost = {}, length = {};
+  FitSums out;
   for (std::size_t i = 0; i < pair.rho.size(); i += LANES) {
     const Four3 a = view.R * Four3{load(&pair.blocks.u[i]), load(&pair.blocks.v[i]), one};
     const Four x = load(&pair.blocks.x[i]), y = load(&pair.blocks.y[i]);
     const Four rho = load(&pair.rho[i]), variance = load(&pair.variance[i]);
     const Four sigma = load(&pair.blocks.sigma[i]), counts = load(&pair.blocks.counts[i]);
-    const Four noise = sigma * sigma;
-    const auto told = load(&pair.told[i]) > 0.0;
+    const Four noise = sigma * sigma, known = load(&pair.told[i]);
+    const auto told = known > 0.0;
+    auto possible = told;
+    const bool all_told = sum(known) == LANES;  // mostly
     const Projected expected = projected(view, a, x, y, rho);
     // Linearised about a depth that does not err with the block's own: its weight, and what the
     // way does to it, would depend on that error else, and lengths drift by 0.1 % a pair. A depth
     // that is not known is the one that the block itself tells; where that lies beyond infinity,
     // nothing can, and the whole error there counts.
-    const Four dx = view.fx * (view.t[0] - x * view.t[2]), dy = view.fy * (view.t[1] - y * view.t[2]);
-    const Four itself = (view.fx * (x * a.z - a.x) * dx + view.fy * (y * a.z - a.y) * dy) /
-                        at_least(dx * dx + dy * dy, 1e-18);
-    const Four slope = variance * (expected.gx * expected.gx + expected.gy * expected.gy);
-    const Four best = rho + slope / (noise + slope) * (itself - rho);
-    Four own = at_least(best, 0);
-    own = own > 8.0 * rho ? 8.0 * rho : own;
-    const Four at = told ? load(&pair.at[i]) : own;
-    const auto possible = told | (best >= 0.0);
+    Four at = load(&pair.at[i]);
+    if (!all_told) {
+      const Four dx = view.fx * (view.t[0] - x * view.t[2]);
+      const Four dy = view.fy * (view.t[1] - y * view.t[2]);
+      const Four itself = (view.fx * (x * a.z - a.x) * dx + view.fy * (y * a.z - a.y) * dy) /
+                          at_least(dx * dx + dy * dy, 1e-18);
+      const Four slope = variance * (expected.gx * expected.gx + expected.gy * expected.gy);
+      const Four best = rho + slope / (noise + slope) * (itself - rho);
+      Four own = at_least(best, 0);
+      own = own > 8.0 * rho ? 8.0 * rho : own;
+      at = told ? at : own;
+      possible = told | (best >= 0.0);
+    }
     const Projected p = projected(view, a, x, y, at);
-    const Four off = possible ? at - rho : Four{};
-    const Four ex = told ? expected.ex : p.ex + p.gx * off;
-    const Four ey = told ? expected.ey : p.ey + p.gy * off;
+    Four ex = expected.ex, ey = expected.ey;
     const Four square = p.gx * p.gx + p.gy * p.gy;
-    const Four c = possible ? variance / (noise + variance * square) : Four{};
+    Four c = variance / (noise + variance * square);
+    if (!all_told) {
+      const Four off = possible ? at - rho : zero;
+      ex = told ? ex : p.ex + p.gx * off;
+      ey = told ? ey : p.ey + p.gy * off;
+      c = possible ? c : zero;
+    }
     const Four along = p.gx * ex + p.gy * ey;
     const Four error = at_least((ex * ex + ey * ey - c * along * along) / noise, 0);
     const Four kernel = one / (one + error * softness);
+    out.cost += counts * error * kernel;
+    if constexpr (!equations) continue;
     const Four weight = counts * kernel * kernel / noise;
-    cost += counts * error * kernel;
     const Four inverse = one / p.z;
-    const Four3 du{view.fx * inverse, Four{}, -view.fx * p.u * inverse},
-                dv{Four{}, view.fy * inverse, -view.fy * p.v * inverse};
+    const Four3 du{view.fx * inverse, zero, -view.fx * p.u * inverse},
+                dv{zero, view.fy * inverse, -view.fy * p.v * inverse};
     const Four3 wu = cross(a, du), wv = cross(a, dv);
-    const Four U[6] = {wu.x, wu.y, wu.z, at * du.x, Four{}, at * du.z};
-    const Four V[6] = {wv.x, wv.y, wv.z, Four{}, at * dv.y, at * dv.z};
+    const Four U[6] = {wu.x, wu.y, wu.z, at * du.x, zero, at * du.z};
+    const Four V[6] = {wv.x, wv.y, wv.z, zero, at * dv.y, at * dv.z};
     Four G[6];
     for (int k = 0; k < 6; ++k) G[k] = p.gx * U[k] + p.gy * V[k];
     for (int r = 0, k = 0; r < 6; ++r) {
       const Four u = weight * U[r], v = weight * V[r], g = weight * c * G[r];
-      for (int s = 0; s <= r; ++s, ++k) A[k] += u * U[s] + v * V[s] - g * G[s];
-      b[r] += u * ex + v * ey - g * along;
+      for (int s = 0; s <= r; ++s, ++k) out.A[k] += u * U[s] + v * V[s] - g * G[s];
+      out.b[r] += u * ex + v * ey - g * along;
     }
-    length += told ? weight * at * at * square * (one - c * square) : Four{};
+    out.length += told ? weight * at * at * square * (one - c * square) : zero;
   }
+  return out;
+}
+
+KERNELS_WIDE
+double cost_of(const Foretold& pair, const TwoView& view, double width) {
+  return sum(sums_of<false>(pair, view, width).cost);
+}
+
+KERNELS_WIDE
+Fit terms(const Foretold& pair, const TwoView& view, double width) {
+  const FitSums sums = sums_of<true>(pair, view, width);
   Fit out;
   for (int r = 0, k = 0; r < 6; ++r) {
-    for (int s = 0; s <= r; ++s, ++k) out.A[6 * r + s] = out.A[6 * s + r] = sum(A[k]);
-    out.b[r] = sum(b[r]);
+    for (int s = 0; s <= r; ++s, ++k) out.A[6 * r + s] = out.A[6 * s + r] = sum(sums.A[k]);
+    out.b[r] = sum(sums.b[r]);
   }
-  out.cost = sum(cost);
-  out.length = sum(length);
+  out.cost = sum(sums.cost);
+  out.length = sum(sums.length);
   return out;
 }
 
@@ -413,7 +442,7 @@ py::tuple fit_to_map(const py::tuple& pair_, const py::object& known_, const py:
   for (py::ssize_t k = 0; k < starts.size(); ++k) {
     TwoView trial{{}, {starts(k, 9), starts(k, 10), starts(k, 11)}, focal[0], focal[1]};
     std::copy_n(&starts[12 * k], 9, trial.R.begin());
-    const double cost = terms(few, trial, widths[1]).cost;
+    const double cost = cost_of(few, trial, widths[1]);
     if (cost < least) least = cost, view = trial;
   }
   Fit now;
