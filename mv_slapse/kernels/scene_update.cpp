@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "lanes.hpp"
 #include "scene.hpp"
 #include "two_view_arguments.hpp"
 
@@ -56,18 +57,52 @@ class Columns {
   std::vector<int> place_;
 };
 
-// A[:, m] += B[:, k] C[k, m] by rows, so that the sums run in the order of k.
+// The first columns, so many times four, of a[m] + factor b[k] C[k, m]; the sums stay in registers.
+template <int FOURS>
+struct Sums {
+  KERNELS_INLINE Sums(const double* a, const double* b, const double* C, int inner, int columns,
+                      double factor) {
+    for (int f = 0; f < FOURS; ++f) of[f] = load(a + f * LANES);
+    for (int k = 0; k < inner; ++k, C += columns) {
+      const double weight = factor * b[k];
+      if (weight == 0) continue;
+      for (int f = 0; f < FOURS; ++f) of[f] += weight * load(C + f * LANES);
+    }
+  }
+  KERNELS_INLINE void write(double* a) const {
+    for (int f = 0; f < FOURS; ++f) store(of[f], a + f * LANES);
+  }
+  Four of[FOURS];
+};
+
+// A[:, m] += factor B[:, k] C[k, m] by rows, so that the sums run in the order of k.
+KERNELS_WIDE
 void multiply_add(const double* B, const double* C, double* A, int rows, int inner, int columns,
                   double factor = 1) {
-  for (int i = 0; i < rows; ++i)
-    for (int k = 0; k < inner; ++k) {
-      const double b = factor * B[i * inner + k];
-      if (b == 0) continue;
-      for (int j = 0; j < columns; ++j) A[i * columns + j] += b * C[k * columns + j];
+  constexpr int LANE = LANES;
+  const int last = columns - LANE;  // from here on summed first: others may reach into it
+  for (int i = 0; i < rows; ++i, B += inner, A += columns) {
+    if (last < 0) {
+      for (int j = 0; j < columns; ++j) {
+        double sum = A[j];
+        for (int k = 0; k < inner; ++k) sum += factor * B[k] * C[k * columns + j];
+        A[j] = sum;
+      }
+      continue;
     }
+    const Sums<1> end(A + last, B, C + last, inner, columns, factor);
+    int j = 0;
+    for (; j + 4 * LANE <= columns; j += 4 * LANE)
+      Sums<4>(A + j, B, C + j, inner, columns, factor).write(A + j);
+    for (; j + 2 * LANE <= columns; j += 2 * LANE)
+      Sums<2>(A + j, B, C + j, inner, columns, factor).write(A + j);
+    if (j < last) Sums<1>(A + j, B, C + j, inner, columns, factor).write(A + j);
+    end.write(A + last);
+  }
 }
 
 // Solves A X = B in place by Gauss with row pivots; A (m x m), B (m x n). False: A is singular.
+KERNELS_WIDE
 bool solve(Matrix& A, int m, Matrix& B, int n) {
   for (int k = 0; k < m; ++k) {
     int pivot = k;
@@ -79,18 +114,15 @@ bool solve(Matrix& A, int m, Matrix& B, int n) {
       std::swap_ranges(&B[k * n], &B[k * n] + n, &B[pivot * n]);
     }
     for (int i = k + 1; i < m; ++i) {
-      const double factor = A[i * m + k] / A[k * m + k];
-      if (factor == 0) continue;
-      for (int j = k + 1; j < m; ++j) A[i * m + j] -= factor * A[k * m + j];
-      for (int j = 0; j < n; ++j) B[i * n + j] -= factor * B[k * n + j];
+      const double lower = A[i * m + k] /= A[k * m + k];
+      if (lower == 0) continue;
+      for (int j = k + 1; j < m; ++j) A[i * m + j] -= lower * A[k * m + j];
     }
   }
+  for (int k = 0; k < m; ++k) multiply_add(&A[k * m], B.data(), &B[k * n], 1, k, n, -1);
   for (int k = m - 1; k >= 0; --k) {
-    for (int i = k + 1; i < m; ++i) {
-      const double a = A[k * m + i];
-      if (a == 0) continue;
-      for (int j = 0; j < n; ++j) B[k * n + j] -= a * B[i * n + j];
-    }
+    const int after = k + 1;
+    multiply_add(A.data() + k * m + after, B.data() + after * n, &B[k * n], 1, m - after, n, -1);
     for (int j = 0; j < n; ++j) B[k * n + j] /= A[k * m + k];
   }
   return true;
@@ -246,8 +278,7 @@ void update(const Scene& prior, const std::vector<Blocks>& groups, double fx, do
     Matrix right = told.vector, at(m), next(n);
     for (int i = 0; i < m; ++i) at[i] = e[columns.of[i]];
     multiply_add(told.matrix.data(), at.data(), right.data(), m, m, 1);
-    for (int i = 0; i < m; ++i)
-      for (int j = 0; j < n; ++j) next[j] += gain[i * n + j] * right[i];
+    multiply_add(right.data(), gain.data(), next.data(), 1, m, n);
     double change = 0;
     for (int j = 0; j < n; ++j) change = std::fmax(change, std::abs(next[j] - e[j]));
     e.swap(next);
