@@ -153,12 +153,15 @@ double noise_scale(const Blocks& blocks, const TwoView& view, double scale, std:
   constexpr double CUT = 3, MEDIAN = 0.6724;  // sigma
   const auto error = epipolar_errors(blocks, view);
   std::vector<double> close;
-  close.reserve(blocks.count);
   for (int pass = 0; pass < 3; ++pass) {
-    close.clear();
-    for (std::size_t i = 0; i < blocks.count; ++i)
-      if (std::abs(error[i]) < CUT * scale) close.push_back(std::abs(error[i]));
-    if (close.size() < least) break;
+    close.resize(blocks.count);
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < blocks.count; ++i) {
+      close[n] = std::abs(error[i]);
+      n += close[n] < CUT * scale;
+    }
+    if (n < least) break;
+    close.resize(n);
     scale = std::clamp(median(close) / MEDIAN, 0.3, 4.0);  // beyond it is no noise
   }
   return scale;
