@@ -59,8 +59,10 @@ struct Picture {
   std::pair<double, double> pixel(const Vec3& ray) const {
     return {fx * ray[0] / ray[2] + cx, fy * ray[1] / ray[2] + cy};
   }
-  static int cell_of(double x) {
-    return static_cast<int>(std::floor((std::clamp(x, -1e6, 1e6) + 0.5) / MACROBLOCK));
+  static int cell_of(double x) {  // by hand: without SSE4, the library's floor is called
+    const double cell = (std::min(std::max(x, -1e6), 1e6) + 0.5) / MACROBLOCK;
+    const int towards_zero = static_cast<int>(cell);
+    return towards_zero - (towards_zero > cell);
   }
   // Number of the macroblock of a pixel, -1 outside of the picture.
   int cell(double x, double y) const {
@@ -71,72 +73,129 @@ struct Picture {
   int columns, rows;
 };
 
+// Those of n points that lie ahead and in a picture that is wider by some macroblocks, with their
+// pixels; returns their number.
+KERNELS_WIDE
+std::size_t shown_of(const Point* points, std::size_t n, const Picture& picture, double margin,
+                     std::size_t* shown, double* x, double* y) {
+  const double right = picture.columns + margin, bottom = picture.rows + margin;
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < n; i += LANES) {
+    Four X, Y, Z;
+    for (std::size_t j = 0; j < LANES; ++j) {
+      const Vec3& ray = points[std::min(i + j, n - 1)].ray;
+      X[j] = ray[0], Y[j] = ray[1], Z[j] = ray[2];
+    }
+    const auto ahead = Z > AHEAD;
+    const Four z = ahead ? Z : Four{} + 1.0;
+    const Four u = picture.fx * X / z + picture.cx, v = picture.fy * Y / z + picture.cy;
+    const Four column = (u + 0.5) / MACROBLOCK, row = (v + 0.5) / MACROBLOCK;
+    const auto in = ahead & (column >= -margin) & (column < right) &
+                    (row >= -margin) & (row < bottom);
+    for (std::size_t j = 0; j < std::min(LANES, n - i); ++j) {  // every other one is shown
+      shown[count] = i + j, x[count] = u[j], y[count] = v[j];
+      count -= in[j];
+    }
+  }
+  return count;
+}
+
 // The points that a picture shows, by macroblock; some beyond its edges, too.
 class View {
  public:
   struct Item {
     double x, y, rho, variance, slack;  // pixel, inverse depth, two standard deviations of it
   };
-  View(const std::vector<Point>& points, const Picture& picture)
-      : columns_(picture.columns + 2 * MARGIN), rows_(picture.rows + 2 * MARGIN) {
-    std::vector<std::pair<int, Item>> found;
-    for (const Point& p : points) {
-      if (!(p.ray[2] > AHEAD)) continue;
-      const auto [x, y] = picture.pixel(p.ray);
-      const int column = Picture::cell_of(x) + MARGIN, row = Picture::cell_of(y) + MARGIN;
-      if (column < 0 || row < 0 || column >= columns_ || row >= rows_) continue;
-      const double z = p.ray[2];
-      found.push_back({row * columns_ + column, {x, y, p.rho / z, p.variance / (z * z),
-                                                  2 * std::sqrt(p.variance) / z}});
-    }
-    start_.assign(columns_ * rows_ + 1, 0);
-    for (const auto& [cell, item] : found) ++start_[cell + 1];
-    for (std::size_t c = 1; c < start_.size(); ++c) start_[c] += start_[c - 1];
-    items_.resize(found.size());
-    auto next = start_;
-    for (const auto& [cell, item] : found) items_[next[cell]++] = item;
-  }
-  struct Near {
-    double square;  // of the distance [px^2]
-    const Item* item;
+  struct Near {  // what a search finds, with its scratch memory
+    explicit Near(const View& view)
+        : square(view.items_.size() + RUN), number(square.size()), found(LANES * square.size()) {}
+    int operator[](std::size_t k) const { return static_cast<int>(found[LANES * k + LANES - 1]); }
+    std::vector<double> square, number;  // of the distances of points [px^2], and which they are
+    std::vector<double> found;           // their numbers, each in the last of some lanes
   };
-  // Writes the points within REACH of a pixel, the CLOSE nearest of them first, in that order, and
-  // returns their number; what follows them there means nothing.
-  std::size_t near(double x, double y, std::vector<Near>& out) const {
+  View(const Point* points, std::size_t n, const Picture& picture)
+      : columns_(picture.columns + 2 * MARGIN), rows_(picture.rows + 2 * MARGIN) {
+    std::vector<std::size_t> shown(n + 1);
+    std::vector<double> x(n + 1), y(n + 1);
+    const auto count = shown_of(points, n, picture, MARGIN, shown.data(), x.data(), y.data());
+    std::vector<int> cell(count);
+    start_.resize(columns_ * rows_ + 1);
+    for (std::size_t i = 0; i < count; ++i) {
+      cell[i] = (Picture::cell_of(y[i]) + MARGIN) * columns_ + Picture::cell_of(x[i]) + MARGIN;
+      ++start_[cell[i] + 1];
+    }
+    for (std::size_t c = 1; c < start_.size(); ++c) start_[c] += start_[c - 1];
+    items_.resize(count + 1);
+    items_.back() = {0, 0, 0, 1, -INFINITE};
+    x_.resize(count + RUN);
+    y_.resize(count + RUN);
+    auto next = start_;
+    for (std::size_t i = 0; i < count; ++i) {
+      const int to = next[cell[i]]++;
+      const Point& p = points[shown[i]];
+      const double z = p.ray[2];
+      x_[to] = x[i], y_[to] = y[i];
+      items_[to] = {x[i], y[i], p.rho / z, p.variance / (z * z), 2 * std::sqrt(p.variance) / z};
+    }
+  }
+
+  // Finds the points within REACH of a pixel, the CLOSE nearest of them first, in that order, and
+  // returns their number; they are followed by LANES that lie nowhere.
+  KERNELS_INLINE int near(double x, double y, Near& out) const {
     const int column = Picture::cell_of(x) + MARGIN, row = Picture::cell_of(y) + MARGIN;
     const int left = std::max(column - MARGIN, 0), right = std::min(column + MARGIN, columns_ - 1);
-    std::size_t n = 0;
-    for (int r = std::max(row - MARGIN, 0); left <= right && r <= std::min(row + MARGIN, rows_ - 1); ++r) {
-      const int first = start_[r * columns_ + left], last = start_[r * columns_ + right + 1];
-      if (out.size() < n + (last - first) + 1) out.resize(2 * (n + (last - first) + 1));
-      for (int i = first; i < last; ++i) {  // half of them are within: a branch is guessed wrong
-        const double dx = items_[i].x - x, dy = items_[i].y - y, square = dx * dx + dy * dy;
-        out[n] = {square, &items_[i]};
-        n += square < REACH * REACH;
-      }
+    const int top = std::max(row - MARGIN, 0), bottom = std::min(row + MARGIN, rows_ - 1);
+    double* square = out.square.data();
+    double* number = out.number.data();
+    int some = 0;
+    for (int r = top; left <= right && r <= bottom; ++r) {
+      const int last = start_[r * columns_ + right + 1];
+      int i = start_[r * columns_ + left];
+      do {  // mostly once: how often a branch is taken would be guessed wrong
+        for (int j = 0; j < RUN; j += LANES) {
+          const Four dx = load(&x_[i + j]) - x, dy = load(&y_[i + j]) - y;
+          store(dx * dx + dy * dy, square + some + j);
+          store(Four{0, 1, 2, 3} + double(i + j), number + some + j);
+        }
+        some += std::min(RUN, last - i);
+        i += RUN;
+      } while (i < last);
     }
-    for (std::size_t i = 1; i < n; ++i) {
-      // The place of the last of the nearest is free for it, or nothing moves.
-      const Near one = out[i];
-      std::size_t k = i;
-      if (k >= CLOSE) {
-        k = CLOSE - 1;
-        if (!(one.square < out[k].square)) continue;
-        out[i] = out[k];
-      }
-      for (; k > 0 && one.square < out[k - 1].square; --k) out[k] = out[k - 1];
-      out[k] = one;
+    int n = 0;
+    for (int i = 0; i < some; ++i) {  // half of them are within
+      const double own = square[i];
+      square[n] = own, number[n] = number[i];
+      n += own < REACH * REACH;
     }
+    // The nearest so far, in rising order. Before one that is nearer than the last of them, the
+    // farther ones move up, and the last of them gets its place.
+    double* found = out.found.data();
+    Four nearest = Four{} + INFINITE, which = {};
+    for (int i = 0; i < n; ++i) {
+      const Four own = Four{} + square[i], name = Four{} + number[i];
+      const Four before{square[i], nearest[0], nearest[1], nearest[2]};
+      const Four there{number[i], which[0], which[1], which[2]};
+      const auto moves = own < nearest;
+      store(moves ? which : name, found + LANES * i);
+      which = moves ? (own < before ? there : name) : which;
+      nearest = moves ? (own < before ? before : own) : nearest;
+    }
+    const auto put = [found](std::size_t k, double what) { found[LANES * k + LANES - 1] = what; };
+    for (std::size_t k = 0; k < LANES; ++k) put(k, which[k]);
+    for (std::size_t k = 0; k < LANES; ++k) put(n + k, static_cast<double>(items_.size() - 1));
     return n;
   }
-  static constexpr std::size_t CLOSE = 4;
+  const Item& operator[](int i) const { return items_[i]; }
+  static constexpr int CLOSE = LANES;
 
  private:
-  static constexpr int MARGIN = 2;        // macroblocks
-  static constexpr double REACH = 32;     // px
+  static constexpr int MARGIN = 2;     // macroblocks
+  static constexpr double REACH = 32;  // px
+  static constexpr int RUN = 8;        // points of a row of macroblocks that are looked at together
   int columns_, rows_;
   std::vector<int> start_;
-  std::vector<Item> items_;
+  std::vector<double> x_, y_;
+  std::vector<Item> items_;  // and one that lies nowhere
 };
 
 struct Interpolation {
@@ -146,73 +205,104 @@ struct Interpolation {
   double same, spread, roughness, slack;
 };
 
-// Sums over points near a pixel, four at a time.
+// Sums over the points near pixels, of which each has a lane.
 struct PlaneSums {
-  Four weight = {}, variance = {}, x = {}, y = {}, xx = {}, xy = {}, yy = {};
-  Four rho = {}, rho_x = {}, rho_y = {};
-  Four count = {}, around = {}, count_around = {};  // around: of those beyond the CLOSE nearest
+  Four weight{}, variance{}, x{}, y{}, xx{}, xy{}, yy{}, rho{}, rho_x{}, rho_y{};
+  Four count{}, around{}, count_around{};  // around: of those beyond the CLOSE nearest
 };
 
-// Inverse depth at a pixel by the plane through the points around it that lie on one surface.
-KERNELS_WIDE
-Known interpolated(const View::Near* near, std::size_t n, double x, double y,
-                   const Interpolation& is) {
-  static_assert(View::CLOSE == LANES);
-  const Known none{0, INFINITE, 0};
-  if (n < View::CLOSE) return none;
-  const double p0 = near[0].item->rho, p1 = near[1].item->rho, p2 = near[2].item->rho;
+// Sums of one pixel, over points on one surface with the nearest.
+KERNELS_INLINE void add_sums(const View& view, const View::Near& near, int n, double x, double y,
+                             const Interpolation& is, std::size_t lane, PlaneSums& out) {
+  const double p0 = view[near[0]].rho, p1 = view[near[1]].rho, p2 = view[near[2]].rho;
   const double reference = std::max(std::min(p0, p1), std::min(std::max(p0, p1), p2));
   const double same = is.same * std::abs(reference), rough = is.roughness * reference;
   const Four zero = {}, one = zero + 1;
-  PlaneSums sums;
-  for (std::size_t k = 0; k < n; k += LANES) {
-    Four px, py, rho, variance, slack, square;
+  Four weights = zero, variances = zero, sx = zero, sy = zero, sxx = zero, sxy = zero, syy = zero;
+  Four sr = zero, srx = zero, sry = zero, count = zero, around = zero, count_around = zero;
+  for (int k = 0; k < n; k += LANES) {
+    Four px, py, rho, variance, slack;
     for (std::size_t j = 0; j < LANES; ++j) {
-      const bool is_there = k + j < n;
-      const View::Near& point = near[is_there ? k + j : k];
-      px[j] = point.item->x, py[j] = point.item->y;
-      rho[j] = point.item->rho, variance[j] = point.item->variance, square[j] = point.square;
-      slack[j] = is_there ? point.item->slack : -INFINITE;
+      const View::Item& point = view[near[k + j]];
+      px[j] = point.x, py[j] = point.y;
+      rho[j] = point.rho, variance[j] = point.variance, slack[j] = point.slack;
     }
     const Four off = rho - reference, within = slack + same;
     const Four on = (off < within) & (-off < within) ? one : zero;
+    const Four right = px - x, down = py - y, square = right * right + down * down;
     const Four far = square / (is.spread * is.spread) + 1;
     const Four weight = on / (far * far * (variance + (rough * rough + 1e-12)));
-    const Four dx = (px - x) / MACROBLOCK, dy = (py - y) / MACROBLOCK;
+    const Four dx = right / MACROBLOCK, dy = down / MACROBLOCK;
     const Four weight_x = weight * dx, weight_y = weight * dy;
-    sums.weight += weight, sums.variance += weight * variance;
-    sums.x += weight_x, sums.y += weight_y;
-    sums.xx += weight_x * dx, sums.xy += weight_x * dy, sums.yy += weight_y * dy;
-    sums.rho += weight * rho, sums.rho_x += weight_x * rho, sums.rho_y += weight_y * rho;
-    sums.count += on;
-    if (k) sums.around += on * rho, sums.count_around += on;
+    weights += weight, variances += weight * variance;
+    sx += weight_x, sy += weight_y;
+    sxx += weight_x * dx, sxy += weight_x * dy, syy += weight_y * dy;
+    sr += weight * rho, srx += weight_x * rho, sry += weight_y * rho;
+    count += on;
+    if (k) around += on * rho, count_around += on;
   }
-  if (sum(sums.count) < View::CLOSE) return none;
-  const double total = sum(sums.weight), mean = sum(sums.rho) / total;
+  out.weight[lane] = sum(weights), out.variance[lane] = sum(variances);
+  out.x[lane] = sum(sx), out.y[lane] = sum(sy);
+  out.xx[lane] = sum(sxx), out.xy[lane] = sum(sxy), out.yy[lane] = sum(syy);
+  out.rho[lane] = sum(sr), out.rho_x[lane] = sum(srx), out.rho_y[lane] = sum(sry);
+  out.count[lane] = sum(count);
+  out.around[lane] = sum(around), out.count_around[lane] = sum(count_around);
+}
+
+struct FourKnown {
+  Four rho, variance, smooth;
+};
+
+// Inverse depths at four pixels, each by the plane through the points around it.
+KERNELS_INLINE FourKnown by_planes(const PlaneSums& of, const Interpolation& is) {
+  const Four x = of.x / of.weight, y = of.y / of.weight, mean = of.rho / of.weight;
   // 0.05: square of the slope that a few points in a row leave open
-  double A[9] = {1, 0, 0, sum(sums.x) / total, sum(sums.xx) / total + 0.05, 0,
-                 sum(sums.y) / total, sum(sums.xy) / total, sum(sums.yy) / total + 0.05};
-  double b[3] = {mean, sum(sums.rho_x) / total, sum(sums.rho_y) / total};
-  if (!cholesky(A, 3)) return none;
-  cholesky_solve(A, 3, b);
-  if (!(std::abs(b[0] - mean) < is.slack * std::abs(mean))) return none;
-  const double others = sum(sums.count_around);
-  return {b[0], sum(sums.variance) / total, others >= 2 ? sum(sums.around) / others : mean};
+  const Four xx = of.xx / of.weight + 0.05, xy = of.xy / of.weight, yy = of.yy / of.weight + 0.05;
+  // Cholesky's factor of (1, x, y; x, xx, xy; y, xy, yy), its own first column, and the solution.
+  const Four xx_left = xx - x * x, xx_root = root(xx_left), xy_root = (xy - y * x) / xx_root;
+  const Four yy_left = yy - y * y - xy_root * xy_root, yy_root = root(yy_left);
+  const Four first = (of.rho_x / of.weight - x * mean) / xx_root;
+  const Four second = (of.rho_y / of.weight - y * mean - xy_root * first) / yy_root;
+  const Four slope_y = second / yy_root, slope_x = (first - xy_root * slope_y) / xx_root;
+  const Four rho = mean - x * slope_x - y * slope_y;
+  const Four off = rho - mean, most = is.slack * (mean < 0.0 ? -mean : mean), zero = {};
+  const auto good = (of.count >= double(View::CLOSE)) & (xx_left > 0.0) & (yy_left > 0.0) &
+                    (off < most) & (-off < most);
+  const Four smooth = of.count_around >= 2.0 ? of.around / of.count_around : mean;
+  const Four variance = of.variance / of.weight;
+  return {good ? rho : zero, good ? variance : zero + INFINITE, good ? smooth : zero};
+}
+
+// What a view tells of up to four pixels.
+KERNELS_WIDE
+FourKnown interpolated(const View& view, const double* x, std::size_t pixels, View::Near& near,
+                       PlaneSums& sums, const Interpolation& is) {
+  sums.count = Four{};
+  for (std::size_t i = 0; i < pixels; ++i, x += 2) {
+    const int n = view.near(x[0], x[1], near);
+    if (n >= View::CLOSE) add_sums(view, near, n, x[0], x[1], is, i, sums);
+  }
+  return by_planes(sums, is);
 }
 
 py::array_t<double> map_at(const py::object& points_, const py::object& x_, const py::object& K,
                            const py::object& size, const py::dict& is) {
   constexpr auto kernel = "map_at";
-  const auto points = points_of(kernel, points_);
+  const In<double> points(kernel, "points", points_, {ANY, 5}, Check::finite);
   const In<double> x(kernel, "x", x_, {ANY, 2}, Check::finite);
-  const View view(points, Picture(kernel, K, size));
+  const View view(reinterpret_cast<const Point*>(points.data()), points.size(),
+                  Picture(kernel, K, size));
   const Interpolation how(is);
   Out<double> out({x.size(), 3});
-  std::vector<View::Near> near;
-  for (py::ssize_t i = 0; i < x.size(); ++i) {
-    const std::size_t n = view.near(x(i, 0), x(i, 1), near);
-    const Known known = interpolated(near.data(), n, x(i, 0), x(i, 1), how);
-    out(i, 0) = known.rho, out(i, 1) = known.variance, out(i, 2) = known.smooth;
+  View::Near near(view);
+  PlaneSums sums;
+  for (py::ssize_t i = 0; i < x.size(); i += LANES) {
+    const auto pixels = std::min<std::size_t>(LANES, x.size() - i);
+    const FourKnown known = interpolated(view, &x(i, 0), pixels, near, sums, how);
+    for (std::size_t j = 0; j < pixels; ++j) {
+      double* row = &out(i + j, 0);
+      row[0] = known.rho[j], row[1] = known.variance[j], row[2] = known.smooth[j];
+    }
   }
   return out.array();
 }
