@@ -73,11 +73,24 @@ struct Picture {
   int columns, rows;
 };
 
-// Those of n points that lie ahead and in a picture that is wider by some macroblocks, with their
-// pixels; returns their number.
+// Those of some points that lie ahead and in a picture that is wider by a margin [macroblocks].
+struct Shown {
+  Shown(const Point* points, std::size_t n, const Picture& picture, int margin)
+      : number(n + 1), x(n + 1), y(n + 1) {
+    find(points, n, picture, margin, *this);
+  }
+  std::size_t count = 0;  // longer are the columns
+  std::vector<int> number;
+  std::vector<double> x, y;  // px
+
+ private:
+  static void find(const Point* points, std::size_t n, const Picture& picture, double margin,
+                   Shown& out);
+};
+
 KERNELS_WIDE
-std::size_t shown_of(const Point* points, std::size_t n, const Picture& picture, double margin,
-                     std::size_t* shown, double* x, double* y) {
+void Shown::find(const Point* points, std::size_t n, const Picture& picture, double margin,
+                 Shown& out) {
   const double right = picture.columns + margin, bottom = picture.rows + margin;
   std::size_t count = 0;
   for (std::size_t i = 0; i < n; i += LANES) {
@@ -93,11 +106,11 @@ std::size_t shown_of(const Point* points, std::size_t n, const Picture& picture,
     const auto in = ahead & (column >= -margin) & (column < right) &
                     (row >= -margin) & (row < bottom);
     for (std::size_t j = 0; j < std::min(LANES, n - i); ++j) {  // every other one is shown
-      shown[count] = i + j, x[count] = u[j], y[count] = v[j];
+      out.number[count] = static_cast<int>(i + j), out.x[count] = u[j], out.y[count] = v[j];
       count -= in[j];
     }
   }
-  return count;
+  out.count = count;
 }
 
 // The points that a picture shows, by macroblock; some beyond its edges, too.
@@ -115,27 +128,26 @@ class View {
   };
   View(const Point* points, std::size_t n, const Picture& picture)
       : columns_(picture.columns + 2 * MARGIN), rows_(picture.rows + 2 * MARGIN) {
-    std::vector<std::size_t> shown(n + 1);
-    std::vector<double> x(n + 1), y(n + 1);
-    const auto count = shown_of(points, n, picture, MARGIN, shown.data(), x.data(), y.data());
-    std::vector<int> cell(count);
+    const Shown shown(points, n, picture, MARGIN);
+    std::vector<int> cell(shown.count);
     start_.resize(columns_ * rows_ + 1);
-    for (std::size_t i = 0; i < count; ++i) {
-      cell[i] = (Picture::cell_of(y[i]) + MARGIN) * columns_ + Picture::cell_of(x[i]) + MARGIN;
+    for (std::size_t i = 0; i < shown.count; ++i) {
+      const int column = Picture::cell_of(shown.x[i]), row = Picture::cell_of(shown.y[i]);
+      cell[i] = (row + MARGIN) * columns_ + column + MARGIN;
       ++start_[cell[i] + 1];
     }
     for (std::size_t c = 1; c < start_.size(); ++c) start_[c] += start_[c - 1];
-    items_.resize(count + 1);
+    items_.resize(shown.count + 1);
     items_.back() = {0, 0, 0, 1, -INFINITE};
-    x_.resize(count + RUN);
-    y_.resize(count + RUN);
+    x_.resize(shown.count + RUN);
+    y_.resize(shown.count + RUN);
     auto next = start_;
-    for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t i = 0; i < shown.count; ++i) {
       const int to = next[cell[i]]++;
-      const Point& p = points[shown[i]];
+      const Point& p = points[shown.number[i]];
       const double z = p.ray[2];
-      x_[to] = x[i], y_[to] = y[i];
-      items_[to] = {x[i], y[i], p.rho / z, p.variance / (z * z), 2 * std::sqrt(p.variance) / z};
+      x_[to] = shown.x[i], y_[to] = shown.y[i];
+      items_[to] = {x_[to], y_[to], p.rho / z, p.variance / (z * z), 2 * std::sqrt(p.variance) / z};
     }
   }
 
@@ -591,13 +603,25 @@ py::tuple join_map(const py::object& rho_, const py::object& sigma_, const py::o
   return py::make_tuple(joined.array(), sharper.array());
 }
 
+KERNELS_WIDE
 void move(std::vector<Point>& points, const TwoView& view, double inflation) {
-  for (Point& p : points) {
-    const Vec3 h = view.R * p.ray + p.rho * view.t;
-    const double n = std::max(norm(h), 1e-9), slope = 1 / n - p.rho * dot(h, view.t) / (n * n * n);
-    p.ray = (1 / n) * h;
-    p.rho /= n;
-    p.variance = slope * slope * p.variance + inflation * inflation * p.rho * p.rho;
+  for (std::size_t i = 0; i < points.size(); i += LANES) {
+    const std::size_t lanes = std::min(LANES, points.size() - i);
+    Four x, y, z, rho, variance;
+    for (std::size_t j = 0; j < LANES; ++j) {
+      const Point& p = points[j < lanes ? i + j : i];
+      x[j] = p.ray[0], y[j] = p.ray[1], z[j] = p.ray[2];
+      rho[j] = p.rho, variance[j] = p.variance;
+    }
+    const Four3 turned = view.R * Four3{x, y, z};
+    const Four3 h{turned.x + rho * view.t[0], turned.y + rho * view.t[1],
+                  turned.z + rho * view.t[2]};
+    const Four n = at_least(root(dot(h, h)), 1e-9), inverse = 1.0 / n;
+    const Four slope = inverse - rho * dot(h, view.t) / (n * n * n), away = rho / n;
+    const Four3 to = inverse * h;
+    const Four known = slope * slope * variance + inflation * inflation * away * away;
+    for (std::size_t j = 0; j < lanes; ++j)
+      points[i + j] = {{to.x[j], to.y[j], to.z[j]}, away[j], known[j]};
   }
 }
 
@@ -683,12 +707,11 @@ py::array_t<double> fuse_map(const py::object& points_, const py::tuple& pair_,
     return points[k].variance / std::max(points[k].rho * points[k].rho, 1e-24);
   };
   std::vector<char> kept(points.size(), 1);
-  for (std::size_t k = 0; k < points.size(); ++k) {
+  const Shown shown(points.data(), points.size(), picture, 0);
+  for (std::size_t i = 0; i < shown.count; ++i) {
+    const int k = shown.number[i];
+    const int cell = Picture::cell_of(shown.y[i]) * picture.columns + Picture::cell_of(shown.x[i]);
     Point& p = points[k];
-    if (!(p.ray[2] > AHEAD)) continue;
-    const auto [x, y] = picture.pixel(p.ray);
-    const int cell = picture.cell(x, y);
-    if (cell < 0) continue;
     if (first[cell] >= 0 && seen[first[cell]].foretold) {
       const Seen& one = seen[first[cell]];
       const double off = one.rho - one.before, noise = one.sigma * one.sigma,
@@ -705,12 +728,12 @@ py::array_t<double> fuse_map(const py::object& points_, const py::tuple& pair_,
         p.variance *= doubt;
       }
     }
-    const int other = best[cell], own_number = static_cast<int>(k);
-    if (!(p.variance < worst * worst) || (other >= 0 && unsure(other) <= unsure(own_number))) {
+    const int other = best[cell];
+    if (!(p.variance < worst * worst) || (other >= 0 && unsure(other) <= unsure(k))) {
       kept[k] = 0;
     } else {
       if (other >= 0) kept[other] = 0;
-      best[cell] = own_number;
+      best[cell] = k;
     }
   }
   std::size_t n = 0;
