@@ -37,6 +37,10 @@ KERNELS_INLINE Four3 ray(const std::vector<double>& x, const std::vector<double>
   return {load(&x[i]), load(&y[i]), ONE};
 }
 
+// Groups of lanes whose terms are computed before they are summed: while one group's quotients and
+// roots wait for each other, the next group's begin.
+constexpr std::size_t AT_ONCE = 16;
+
 struct Line {  // epipolar lines in camera k-1 and the distances of x_prev from them
   Four3 c;     // x_cur x t
   Four lx, ly, norm, error;
@@ -68,29 +72,44 @@ Equations<6> epipolar_terms(const Blocks& blocks, const TwoView& view, double wi
   const Mat3 Rt = transposed(view.R);
   const double shrink = 1 / (width * width);
   Four A[21] = {}, b[6] = {}, cost = {}, weights = {}, squares = {};
-  for (std::size_t i = 0; i < blocks.x.size(); i += LANES) {
-    const Four3 x = ray(blocks.x, blocks.y, i), prev = ray(blocks.u, blocks.v, i);
-    const Line line = epipolar_line(view, Rt, x, prev);
-    const Four sigma = load(&blocks.sigma[i]), counts = load(&blocks.counts[i]);
-    // error = y . c / norm with y = R x_prev; norm^2 = sum((line / focal)^2), line = R^T c.
-    const Four lx = line.lx / view.fx, ly = line.ly / view.fy, inverse = 1.0 / line.norm;
-    const Four ratio = line.error * inverse;
-    const Four3 tilt{prev.x - ratio * lx, prev.y - ratio * ly, prev.z};
-    const Four3 by_c = inverse * (view.R * tilt);
-    const Four3 w = cross(by_c, line.c), t = cross(by_c, x);
-    const Four scaled = line.error / sigma, m2 = scaled * scaled;
-    const Four kernel = 1.0 / (1.0 + m2 * shrink);
-    const Four shown = counts * kernel * kernel, weight = shown / (sigma * sigma);
-    const Four off = weight * line.error;
-    const Four J[6] = {w.x, w.y, w.z, t.x, t.y, t.z};
-    for (int r = 0, k = 0; r < 6; ++r) {
-      const Four weighted = weight * J[r];
-      for (int s = 0; s <= r; ++s, ++k) A[k] += weighted * J[s];
-      b[r] -= off * J[r];
+  Line lines[AT_ONCE];
+  struct {
+    Four J[6], weight, off;
+  } terms[AT_ONCE];
+  const std::size_t groups = blocks.x.size() / LANES;
+  for (std::size_t begin = 0; begin < groups; begin += AT_ONCE) {
+    const std::size_t n = std::min(AT_ONCE, groups - begin);
+    for (std::size_t g = 0; g < n; ++g) {
+      const std::size_t i = (begin + g) * LANES;
+      lines[g] = epipolar_line(view, Rt, ray(blocks.x, blocks.y, i), ray(blocks.u, blocks.v, i));
     }
-    cost += counts * m2 * kernel;
-    weights += shown;
-    squares += shown * m2;
+    for (std::size_t g = 0; g < n; ++g) {
+      const std::size_t i = (begin + g) * LANES;
+      const Four3 x = ray(blocks.x, blocks.y, i), prev = ray(blocks.u, blocks.v, i);
+      const Line& line = lines[g];
+      const Four sigma = load(&blocks.sigma[i]), counts = load(&blocks.counts[i]);
+      // error = y . c / norm with y = R x_prev; norm^2 = sum((line / focal)^2), line = R^T c.
+      const Four lx = line.lx / view.fx, ly = line.ly / view.fy, inverse = 1.0 / line.norm;
+      const Four ratio = line.error * inverse;
+      const Four3 tilt{prev.x - ratio * lx, prev.y - ratio * ly, prev.z};
+      const Four3 by_c = inverse * (view.R * tilt);
+      const Four3 w = cross(by_c, line.c), t = cross(by_c, x);
+      const Four scaled = line.error / sigma, m2 = scaled * scaled;
+      const Four kernel = 1.0 / (1.0 + m2 * shrink);
+      const Four shown = counts * kernel * kernel, weight = shown / (sigma * sigma);
+      terms[g] = {{w.x, w.y, w.z, t.x, t.y, t.z}, weight, weight * line.error};
+      cost += counts * m2 * kernel;
+      weights += shown;
+      squares += shown * m2;
+    }
+    for (std::size_t g = 0; g < n; ++g) {
+      const auto& of = terms[g];
+      for (int r = 0, k = 0; r < 6; ++r) {
+        const Four weighted = of.weight * of.J[r];
+        for (int s = 0; s <= r; ++s, ++k) A[k] += weighted * of.J[s];
+        b[r] -= of.off * of.J[r];
+      }
+    }
   }
   Equations<6> out;
   for (int r = 0, k = 0; r < 6; ++r) {
@@ -138,63 +157,78 @@ Equations<9> plane_terms(const Blocks& blocks, const TwoView& view, const Vec3& 
   const double shrink = 1 / (noise.width * noise.width), relief2 = noise.relief * noise.relief;
   const double across = 1 / noise.across, lengthwise = 1 / noise.along;
   Four A[45] = {}, b[9] = {}, cost = {};
-  for (std::size_t i = 0; i < blocks.x.size(); i += LANES) {
-    const Four3 x = ray(blocks.x, blocks.y, i);
-    const Four u = load(&blocks.u[i]), v = load(&blocks.v[i]), sigma = load(&blocks.sigma[i]);
-    const Four counts = load(&blocks.counts[i]), variance = sigma * sigma;
-    // x_prev ~ q = R^T p, p = x + t (plane . x).
-    const Four along = dot(x, plane);
-    const Four3 p{x.x + along * view.t[0], x.y + along * view.t[1], x.z + along * view.t[2]};
-    const Four3 q = Rt * p, far = Rt * x;
-    const Four iz = 1.0 / q.z, qx = q.x * iz, qy = q.y * iz, far_iz = 1.0 / far.z;
-    const Four ex = view.fx * (u - qx), ey = view.fy * (v - qy);
-    // Noise across and along the epipolar line, the parallax' direction, to which relief adds.
-    const Four px = view.fx * (qx - far.x * far_iz), py = view.fy * (qy - far.y * far_iz);
-    const Four square = at_least(px * px + py * py, 1e-18), inverse = 1.0 / square;
-    const Four share = 1.0 / variance, slack = 1.0 / (variance + relief2 * square);
-    const Four e_along = px * ex + py * ey, e2 = e_along * e_along * inverse;
-    const Four m2 = (ex * ex + ey * ey - e2) * share + e2 * slack;
-    const Four kernel = 1.0 / (1.0 + m2 * shrink), weight = counts * kernel * kernel;
-    const Four own = across * share * weight, more = (lengthwise * slack * weight - own) * inverse;
-    const Four Wxx = own + more * px * px, Wxy = more * px * py, Wyy = own + more * py * py;
-    // d pixel = a . (R dq), a (2, 3); S = a^T W a and g = a^T W e hold all that the weights tell.
-    const Four fu = view.fx * iz, fv = view.fy * iz, hu = -(fu * qx), hv = -(fv * qy);
-    const Four3 au{R[0] * fu + R[2] * hu, R[3] * fu + R[5] * hu, R[6] * fu + R[8] * hu};
-    const Four3 av{R[1] * fv + R[2] * hv, R[4] * fv + R[5] * hv, R[7] * fv + R[8] * hv};
-    const Four3 Wu{Wxx * au.x + Wxy * av.x, Wxx * au.y + Wxy * av.y, Wxx * au.z + Wxy * av.z};
-    const Four3 Wv{Wxy * au.x + Wyy * av.x, Wxy * au.y + Wyy * av.y, Wxy * au.z + Wyy * av.z};
-    const Four3 S[3] = {{au.x * Wu.x + av.x * Wv.x, au.x * Wu.y + av.x * Wv.y,
-                         au.x * Wu.z + av.x * Wv.z},
-                        {au.y * Wu.x + av.y * Wv.x, au.y * Wu.y + av.y * Wv.y,
-                         au.y * Wu.z + av.y * Wv.z},
-                        {au.z * Wu.x + av.z * Wv.x, au.z * Wu.y + av.z * Wv.y,
-                         au.z * Wu.z + av.z * Wv.z}};
-    const Four3 g{ex * Wu.x + ey * Wv.x, ex * Wu.y + ey * Wv.y, ex * Wu.z + ey * Wv.z};
-    // J = [a x p, (plane . x) a, (a . t) x^T].
-    const Four3 Sp[3] = {cross(S[0], p), cross(S[1], p), cross(S[2], p)};  // S by w, (3, 3)
-    const Four3 ww[3] = {cross(Four3{Sp[0].x, Sp[1].x, Sp[2].x}, p),
-                         cross(Four3{Sp[0].y, Sp[1].y, Sp[2].y}, p),
-                         cross(Four3{Sp[0].z, Sp[1].z, Sp[2].z}, p)};
-    const Four3 s{dot(S[0], view.t), dot(S[1], view.t), dot(S[2], view.t)};
-    const Four3 sp = cross(s, p), gp = cross(g, p), as = along * s;
-    const Four along2 = along * along, ts = dot(s, view.t), gt = dot(g, view.t);
-    const Four tx = ts * x.x, ty = ts * x.y;
-    const Four rows[45] = {
-        ww[0].x,
-        ww[1].x, ww[1].y,
-        ww[2].x, ww[2].y, ww[2].z,
-        along * Sp[0].x, along * Sp[0].y, along * Sp[0].z, along2 * S[0].x,
-        along * Sp[1].x, along * Sp[1].y, along * Sp[1].z, along2 * S[1].x, along2 * S[1].y,
-        along * Sp[2].x, along * Sp[2].y, along * Sp[2].z, along2 * S[2].x, along2 * S[2].y,
-        along2 * S[2].z,
-        sp.x * x.x, sp.y * x.x, sp.z * x.x, as.x * x.x, as.y * x.x, as.z * x.x, tx * x.x,
-        sp.x * x.y, sp.y * x.y, sp.z * x.y, as.x * x.y, as.y * x.y, as.z * x.y, tx * x.y, ty * x.y,
-        sp.x, sp.y, sp.z, as.x, as.y, as.z, tx, ty, ts};
-    for (int k = 0; k < 45; ++k) A[k] += rows[k];
-    const Four right[9] = {gp.x, gp.y, gp.z, along * g.x, along * g.y, along * g.z,
-                           gt * x.x, gt * x.y, gt};
-    for (int k = 0; k < 9; ++k) b[k] += right[k];
-    cost += counts * m2 * kernel;
+  struct {
+    Four3 x, p;
+    Four along, iz, qx, qy, ex, ey, Wxx, Wxy, Wyy;
+  } terms[AT_ONCE];
+  const std::size_t groups = blocks.x.size() / LANES;
+  for (std::size_t begin = 0; begin < groups; begin += AT_ONCE) {
+    const std::size_t n = std::min(AT_ONCE, groups - begin);
+    for (std::size_t g = 0; g < n; ++g) {
+      const std::size_t i = (begin + g) * LANES;
+      const Four3 x = ray(blocks.x, blocks.y, i);
+      const Four u = load(&blocks.u[i]), v = load(&blocks.v[i]), sigma = load(&blocks.sigma[i]);
+      const Four counts = load(&blocks.counts[i]), variance = sigma * sigma;
+      // x_prev ~ q = R^T p, p = x + t (plane . x).
+      const Four along = dot(x, plane);
+      const Four3 p{x.x + along * view.t[0], x.y + along * view.t[1], x.z + along * view.t[2]};
+      const Four3 q = Rt * p, far = Rt * x;
+      const Four iz = 1.0 / q.z, qx = q.x * iz, qy = q.y * iz, far_iz = 1.0 / far.z;
+      const Four ex = view.fx * (u - qx), ey = view.fy * (v - qy);
+      // Noise across and along the epipolar line, the parallax' direction, to which relief adds.
+      const Four px = view.fx * (qx - far.x * far_iz), py = view.fy * (qy - far.y * far_iz);
+      const Four square = at_least(px * px + py * py, 1e-18), inverse = 1.0 / square;
+      const Four share = 1.0 / variance, slack = 1.0 / (variance + relief2 * square);
+      const Four e_along = px * ex + py * ey, e2 = e_along * e_along * inverse;
+      const Four m2 = (ex * ex + ey * ey - e2) * share + e2 * slack;
+      const Four kernel = 1.0 / (1.0 + m2 * shrink), weight = counts * kernel * kernel;
+      const Four own = across * share * weight;
+      const Four more = (lengthwise * slack * weight - own) * inverse;
+      const Four Wxx = own + more * px * px, Wxy = more * px * py, Wyy = own + more * py * py;
+      cost += counts * m2 * kernel;
+      terms[g] = {x, p, along, iz, qx, qy, ex, ey, Wxx, Wxy, Wyy};
+    }
+    for (std::size_t g = 0; g < n; ++g) {
+      const auto& [x, p, along, iz, qx, qy, ex, ey, Wxx, Wxy, Wyy] = terms[g];
+      // d pixel = a . (R dq), a (2, 3); S = a^T W a and pull = a^T W e hold all that is told.
+      const Four fu = view.fx * iz, fv = view.fy * iz, hu = -(fu * qx), hv = -(fv * qy);
+      const Four3 au{R[0] * fu + R[2] * hu, R[3] * fu + R[5] * hu, R[6] * fu + R[8] * hu};
+      const Four3 av{R[1] * fv + R[2] * hv, R[4] * fv + R[5] * hv, R[7] * fv + R[8] * hv};
+      const Four3 Wu{Wxx * au.x + Wxy * av.x, Wxx * au.y + Wxy * av.y, Wxx * au.z + Wxy * av.z};
+      const Four3 Wv{Wxy * au.x + Wyy * av.x, Wxy * au.y + Wyy * av.y, Wxy * au.z + Wyy * av.z};
+      const Four3 S[3] = {{au.x * Wu.x + av.x * Wv.x, au.x * Wu.y + av.x * Wv.y,
+                           au.x * Wu.z + av.x * Wv.z},
+                          {au.y * Wu.x + av.y * Wv.x, au.y * Wu.y + av.y * Wv.y,
+                           au.y * Wu.z + av.y * Wv.z},
+                          {au.z * Wu.x + av.z * Wv.x, au.z * Wu.y + av.z * Wv.y,
+                           au.z * Wu.z + av.z * Wv.z}};
+      const Four3 pull{ex * Wu.x + ey * Wv.x, ex * Wu.y + ey * Wv.y, ex * Wu.z + ey * Wv.z};
+      // J = [a x p, (plane . x) a, (a . t) x^T].
+      const Four3 Sp[3] = {cross(S[0], p), cross(S[1], p), cross(S[2], p)};  // S by w, (3, 3)
+      const Four3 ww[3] = {cross(Four3{Sp[0].x, Sp[1].x, Sp[2].x}, p),
+                           cross(Four3{Sp[0].y, Sp[1].y, Sp[2].y}, p),
+                           cross(Four3{Sp[0].z, Sp[1].z, Sp[2].z}, p)};
+      const Four3 s{dot(S[0], view.t), dot(S[1], view.t), dot(S[2], view.t)};
+      const Four3 sp = cross(s, p), gp = cross(pull, p), as = along * s;
+      const Four along2 = along * along, ts = dot(s, view.t), gt = dot(pull, view.t);
+      const Four tx = ts * x.x, ty = ts * x.y;
+      const Four rows[45] = {
+          ww[0].x,
+          ww[1].x, ww[1].y,
+          ww[2].x, ww[2].y, ww[2].z,
+          along * Sp[0].x, along * Sp[0].y, along * Sp[0].z, along2 * S[0].x,
+          along * Sp[1].x, along * Sp[1].y, along * Sp[1].z, along2 * S[1].x, along2 * S[1].y,
+          along * Sp[2].x, along * Sp[2].y, along * Sp[2].z, along2 * S[2].x, along2 * S[2].y,
+          along2 * S[2].z,
+          sp.x * x.x, sp.y * x.x, sp.z * x.x, as.x * x.x, as.y * x.x, as.z * x.x, tx * x.x,
+          sp.x * x.y, sp.y * x.y, sp.z * x.y, as.x * x.y, as.y * x.y, as.z * x.y, tx * x.y,
+          ty * x.y,
+          sp.x, sp.y, sp.z, as.x, as.y, as.z, tx, ty, ts};
+      for (int k = 0; k < 45; ++k) A[k] += rows[k];
+      const Four right[9] = {gp.x, gp.y, gp.z, along * pull.x, along * pull.y, along * pull.z,
+                             gt * x.x, gt * x.y, gt};
+      for (int k = 0; k < 9; ++k) b[k] += right[k];
+    }
   }
   Equations<9> out;
   for (int r = 0, k = 0; r < 9; ++r) {
