@@ -388,63 +388,78 @@ KERNELS_INLINE FitSums sums_of(const Foretold& pair, const TwoView& view, double
   const Four zero = {}, one = zero + 1.0;
   const double softness = 1 / (width * width);
   FitSums out;
-  for (std::size_t i = 0; i < pair.rho.size(); i += LANES) {
-    const Four3 a = view.R * Four3{load(&pair.blocks.u[i]), load(&pair.blocks.v[i]), one};
-    const Four x = load(&pair.blocks.x[i]), y = load(&pair.blocks.y[i]);
-    const Four rho = load(&pair.rho[i]), variance = load(&pair.variance[i]);
-    const Four sigma = load(&pair.blocks.sigma[i]), counts = load(&pair.blocks.counts[i]);
-    const Four noise = sigma * sigma, known = load(&pair.told[i]);
-    const auto told = known > 0.0;
-    auto possible = told;
-    const bool all_told = sum(known) == LANES;  // mostly
-    const Projected expected = projected(view, a, x, y, rho);
-    // Linearised about a depth that does not err with the block's own: its weight, and what the
-    // way does to it, would depend on that error else, and lengths drift by 0.1 % a pair. A depth
-    // that is not known is the one that the block itself tells; where that lies beyond infinity,
-    // nothing can, and the whole error there counts.
-    Four at = load(&pair.at[i]);
-    if (!all_told) {
-      const Four dx = view.fx * (view.t[0] - x * view.t[2]);
-      const Four dy = view.fy * (view.t[1] - y * view.t[2]);
-      const Four itself = (view.fx * (x * a.z - a.x) * dx + view.fy * (y * a.z - a.y) * dy) /
-                          at_least(dx * dx + dy * dy, 1e-18);
-      const Four slope = variance * (expected.gx * expected.gx + expected.gy * expected.gy);
-      const Four best = rho + slope / (noise + slope) * (itself - rho);
-      Four own = at_least(best, 0);
-      own = own > 8.0 * rho ? 8.0 * rho : own;
-      at = told ? at : own;
-      possible = told | (best >= 0.0);
+  struct {
+    Four3 a;
+    Four at, ex, ey, along, weight, c;
+    Projected p;
+  } terms[AT_ONCE];
+  const std::size_t groups = pair.rho.size() / LANES;
+  for (std::size_t begin = 0; begin < groups; begin += AT_ONCE) {
+    const std::size_t n = std::min(AT_ONCE, groups - begin);
+    for (std::size_t g = 0; g < n; ++g) {
+      const std::size_t i = (begin + g) * LANES;
+      const Four3 a = view.R * Four3{load(&pair.blocks.u[i]), load(&pair.blocks.v[i]), one};
+      const Four x = load(&pair.blocks.x[i]), y = load(&pair.blocks.y[i]);
+      const Four rho = load(&pair.rho[i]), variance = load(&pair.variance[i]);
+      const Four sigma = load(&pair.blocks.sigma[i]), counts = load(&pair.blocks.counts[i]);
+      const Four noise = sigma * sigma, known = load(&pair.told[i]);
+      const auto told = known > 0.0;
+      auto possible = told;
+      const bool all_told = sum(known) == LANES;  // mostly
+      const Projected expected = projected(view, a, x, y, rho);
+      // Linearised about a depth that does not err with the block's own: its weight, and what the
+      // way does to it, would depend on that error else, and lengths drift by 0.1 % a pair. A depth
+      // that is not known is the one that the block itself tells; where that lies beyond infinity,
+      // nothing can, and the whole error there counts.
+      Four at = load(&pair.at[i]);
+      if (!all_told) {
+        const Four dx = view.fx * (view.t[0] - x * view.t[2]);
+        const Four dy = view.fy * (view.t[1] - y * view.t[2]);
+        const Four itself = (view.fx * (x * a.z - a.x) * dx + view.fy * (y * a.z - a.y) * dy) /
+                            at_least(dx * dx + dy * dy, 1e-18);
+        const Four slope = variance * (expected.gx * expected.gx + expected.gy * expected.gy);
+        const Four best = rho + slope / (noise + slope) * (itself - rho);
+        Four own = at_least(best, 0);
+        own = own > 8.0 * rho ? 8.0 * rho : own;
+        at = told ? at : own;
+        possible = told | (best >= 0.0);
+      }
+      const Projected p = projected(view, a, x, y, at);
+      Four ex = expected.ex, ey = expected.ey;
+      const Four square = p.gx * p.gx + p.gy * p.gy;
+      Four c = variance / (noise + variance * square);
+      if (!all_told) {
+        const Four off = possible ? at - rho : zero;
+        ex = told ? ex : p.ex + p.gx * off;
+        ey = told ? ey : p.ey + p.gy * off;
+        c = possible ? c : zero;
+      }
+      const Four along = p.gx * ex + p.gy * ey;
+      const Four error = at_least((ex * ex + ey * ey - c * along * along) / noise, 0);
+      const Four kernel = one / (one + error * softness);
+      out.cost += counts * error * kernel;
+      if constexpr (!equations) continue;
+      const Four weight = counts * kernel * kernel / noise;
+      out.length += told ? weight * at * at * square * (one - c * square) : zero;
+      terms[g] = {a, at, ex, ey, along, weight, c, p};
     }
-    const Projected p = projected(view, a, x, y, at);
-    Four ex = expected.ex, ey = expected.ey;
-    const Four square = p.gx * p.gx + p.gy * p.gy;
-    Four c = variance / (noise + variance * square);
-    if (!all_told) {
-      const Four off = possible ? at - rho : zero;
-      ex = told ? ex : p.ex + p.gx * off;
-      ey = told ? ey : p.ey + p.gy * off;
-      c = possible ? c : zero;
-    }
-    const Four along = p.gx * ex + p.gy * ey;
-    const Four error = at_least((ex * ex + ey * ey - c * along * along) / noise, 0);
-    const Four kernel = one / (one + error * softness);
-    out.cost += counts * error * kernel;
     if constexpr (!equations) continue;
-    const Four weight = counts * kernel * kernel / noise;
-    const Four inverse = one / p.z;
-    const Four3 du{view.fx * inverse, zero, -view.fx * p.u * inverse},
-                dv{zero, view.fy * inverse, -view.fy * p.v * inverse};
-    const Four3 wu = cross(a, du), wv = cross(a, dv);
-    const Four U[6] = {wu.x, wu.y, wu.z, at * du.x, zero, at * du.z};
-    const Four V[6] = {wv.x, wv.y, wv.z, zero, at * dv.y, at * dv.z};
-    Four G[6];
-    for (int k = 0; k < 6; ++k) G[k] = p.gx * U[k] + p.gy * V[k];
-    for (int r = 0, k = 0; r < 6; ++r) {
-      const Four u = weight * U[r], v = weight * V[r], g = weight * c * G[r];
-      for (int s = 0; s <= r; ++s, ++k) out.A[k] += u * U[s] + v * V[s] - g * G[s];
-      out.b[r] += u * ex + v * ey - g * along;
+    for (std::size_t g = 0; g < n; ++g) {
+      const auto& [a, at, ex, ey, along, weight, c, p] = terms[g];
+      const Four inverse = one / p.z;
+      const Four3 du{view.fx * inverse, zero, -view.fx * p.u * inverse},
+                  dv{zero, view.fy * inverse, -view.fy * p.v * inverse};
+      const Four3 wu = cross(a, du), wv = cross(a, dv);
+      const Four U[6] = {wu.x, wu.y, wu.z, at * du.x, zero, at * du.z};
+      const Four V[6] = {wv.x, wv.y, wv.z, zero, at * dv.y, at * dv.z};
+      Four G[6];
+      for (int k = 0; k < 6; ++k) G[k] = p.gx * U[k] + p.gy * V[k];
+      for (int r = 0, k = 0; r < 6; ++r) {
+        const Four u = weight * U[r], v = weight * V[r], h = weight * c * G[r];
+        for (int s = 0; s <= r; ++s, ++k) out.A[k] += u * U[s] + v * V[s] - h * G[s];
+        out.b[r] += u * ex + v * ey - h * along;
+      }
     }
-    out.length += told ? weight * at * at * square * (one - c * square) : zero;
   }
   return out;
 }

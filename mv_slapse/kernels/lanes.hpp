@@ -18,6 +18,10 @@ namespace kernels {
 constexpr std::size_t LANES = 4;
 using Four = double __attribute__((vector_size(LANES * sizeof(double))));
 
+// Groups of lanes whose terms are computed before they are summed: while one group's quotients and
+// roots wait for each other, the next group's begin.
+constexpr std::size_t AT_ONCE = 16;
+
 struct Four3 {  // four vectors of three
   Four x, y, z;
 };

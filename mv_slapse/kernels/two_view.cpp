@@ -37,10 +37,6 @@ KERNELS_INLINE Four3 ray(const std::vector<double>& x, const std::vector<double>
   return {load(&x[i]), load(&y[i]), ONE};
 }
 
-// Groups of lanes whose terms are computed before they are summed: while one group's quotients and
-// roots wait for each other, the next group's begin.
-constexpr std::size_t AT_ONCE = 16;
-
 struct Line {  // epipolar lines in camera k-1 and the distances of x_prev from them
   Four3 c;     // x_cur x t
   Four lx, ly, norm, error;
