@@ -39,17 +39,20 @@ struct Policy {  // of the refinement
 // The share of the votes of [MVO] 4.2 that put a block behind the camera, each counting by its
 // parallax in standard deviations up to ten: a far block's direction is noise. The vote is the sign
 // of (t_xy - x'_prev t_z) . (x_cur - x'_prev), the epipole e = t_xy / t_z kept homogeneous.
+KERNELS_WIDE
 double behind(const Blocks& blocks, const TwoView& view) {
   double against = 0, all = 0;
-  for (std::size_t i = 0; i < blocks.count; ++i) {
-    const Vec3 y = view.R * Vec3{blocks.u[i], blocks.v[i], 1};
-    const double yx = y[0] / y[2], yy = y[1] / y[2];
-    const double gx = view.fx * (blocks.x[i] - yx), gy = view.fy * (blocks.y[i] - yy);
-    const double vote = view.fx * (view.t[0] - yx * view.t[2]) * gx +
-                        view.fy * (view.t[1] - yy * view.t[2]) * gy;
-    const double weight = std::min(std::sqrt(gx * gx + gy * gy) / blocks.sigma[i], 10.0);
-    all += weight;
-    if (!(vote > 0)) against += weight;
+  for (std::size_t i = 0; i < blocks.x.size(); i += LANES) {
+    const Four3 y = view.R * Four3{load(&blocks.u[i]), load(&blocks.v[i]), Four{} + 1.0};
+    const Four yx = y.x / y.z, yy = y.y / y.z;
+    const Four gx = view.fx * (load(&blocks.x[i]) - yx), gy = view.fy * (load(&blocks.y[i]) - yy);
+    const Four vote = view.fx * (view.t[0] - yx * view.t[2]) * gx +
+                      view.fy * (view.t[1] - yy * view.t[2]) * gy;
+    const Four parallax = root(gx * gx + gy * gy) / load(&blocks.sigma[i]);
+    const Four weight = parallax > 10.0 ? Four{} + 10.0 : parallax;
+    const Four opposed = vote > 0.0 ? Four{} : weight;
+    for (std::size_t j = 0; j < std::min(LANES, blocks.count - i); ++j)
+      all += weight[j], against += opposed[j];
   }
   return against / std::max(all, 1e-9);
 }
