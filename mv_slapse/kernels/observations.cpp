@@ -62,18 +62,21 @@ void judge(const Blocks& blocks, const TwoView& view, const Bounds& bounds, Colu
                              root(flow_x * flow_x + flow_y * flow_y)};
     for (std::size_t j = 0; j < std::min(LANES, blocks.count - i); ++j) {
       const auto at = static_cast<py::ssize_t>(i + j);
-      const bool inlier = std::abs(error[at]) < bounds.epsilon_f;
-      const bool near = columns[3][j] >= bounds.epsilon_m;
       out.error[at] = error[at];
       out.rho[at] = columns[0][j];
       out.sigma_rho[at] = columns[1][j];
       out.blur[at] = columns[2][j];
       out.parallax[at] = columns[3][j];
-      out.inlier[at] = inlier;
-      out.at_infinity[at] = inlier && !near;
-      out.backward[at] = inlier && near && out.rho[at] < -3 * out.blur[at];
-      out.has_depth[at] = inlier && near && out.rho[at] > 0;
     }
+  }
+  for (std::size_t i = 0; i < blocks.count; ++i) {  // without branches
+    const auto at = static_cast<py::ssize_t>(i);
+    const bool inlier = std::abs(error[at]) < bounds.epsilon_f;
+    const bool near = out.parallax[at] >= bounds.epsilon_m;
+    out.inlier[at] = inlier;
+    out.at_infinity[at] = inlier & !near;
+    out.backward[at] = inlier & near & (out.rho[at] < -3 * out.blur[at]);
+    out.has_depth[at] = inlier & near & (out.rho[at] > 0);
   }
 }
 
