@@ -39,18 +39,20 @@ KERNELS_INLINE Four3 ray(const std::vector<double>& x, const std::vector<double>
 
 struct Line {  // epipolar lines in camera k-1 and the distances of x_prev from them
   Four3 c;     // x_cur x t
-  Four lx, ly, norm, error;
+  Four lx, ly, inverse_norm, error;
 };
 
 KERNELS_INLINE Line epipolar_line(const TwoView& view, const Mat3& Rt, const Four3& x,
                                   const Four3& prev) {
+  const double by_fx = 1 / view.fx, by_fy = 1 / view.fy;
   Line out;
   out.c = cross(x, view.t);
   const Four3 line = Rt * out.c;
-  out.lx = line.x / view.fx;
-  out.ly = line.y / view.fy;
-  out.norm = at_least(root(out.lx * out.lx + out.ly * out.ly), 1e-12);  // the epipole has none
-  out.error = dot(prev, line) / out.norm;
+  out.lx = line.x * by_fx;
+  out.ly = line.y * by_fy;
+  // The epipole has none.
+  out.inverse_norm = 1.0 / at_least(root(out.lx * out.lx + out.ly * out.ly), 1e-12);
+  out.error = dot(prev, line) * out.inverse_norm;
   return out;
 }
 
@@ -66,7 +68,7 @@ void mirror(Equations<N>& out) {
 KERNELS_WIDE
 Equations<6> epipolar_terms(const Blocks& blocks, const TwoView& view, double width) {
   const Mat3 Rt = transposed(view.R);
-  const double shrink = 1 / (width * width);
+  const double shrink = 1 / (width * width), by_fx = 1 / view.fx, by_fy = 1 / view.fy;
   Four A[21] = {}, b[6] = {}, cost = {}, weights = {}, squares = {};
   Line lines[AT_ONCE];
   struct {
@@ -85,14 +87,14 @@ Equations<6> epipolar_terms(const Blocks& blocks, const TwoView& view, double wi
       const Line& line = lines[g];
       const Four sigma = load(&blocks.sigma[i]), counts = load(&blocks.counts[i]);
       // error = y . c / norm with y = R x_prev; norm^2 = sum((line / focal)^2), line = R^T c.
-      const Four lx = line.lx / view.fx, ly = line.ly / view.fy, inverse = 1.0 / line.norm;
+      const Four lx = line.lx * by_fx, ly = line.ly * by_fy, inverse = line.inverse_norm;
       const Four ratio = line.error * inverse;
       const Four3 tilt{prev.x - ratio * lx, prev.y - ratio * ly, prev.z};
       const Four3 by_c = inverse * (view.R * tilt);
       const Four3 w = cross(by_c, line.c), t = cross(by_c, x);
-      const Four scaled = line.error / sigma, m2 = scaled * scaled;
+      const Four sharp = 1.0 / sigma, scaled = line.error * sharp, m2 = scaled * scaled;
       const Four kernel = 1.0 / (1.0 + m2 * shrink);
-      const Four shown = counts * kernel * kernel, weight = shown / (sigma * sigma);
+      const Four shown = counts * kernel * kernel, weight = shown * (sharp * sharp);
       terms[g] = {{w.x, w.y, w.z, t.x, t.y, t.z}, weight, weight * line.error};
       cost += counts * m2 * kernel;
       weights += shown;
