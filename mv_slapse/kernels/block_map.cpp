@@ -484,31 +484,50 @@ Fit terms(const Foretold& pair, const TwoView& view, double width) {
 
 constexpr std::size_t EVERY = 3;  // of the blocks, by which starts and medians are judged
 
-// Number of blocks whose depth both the map and the pair's own motion, |t| = 1, tell (to the share
-// ``sure``), and the median of the length [map unit] that they give it.
+// Lengths [map unit] that blocks give to a pair's own motion, |t| = 1, where both that, to the share
+// ``sure``, and the map tell their depth.
+KERNELS_WIDE
+std::vector<double> lengths_of(const PairArrays& pair, const TwoView& view,
+                               const std::vector<Known>& known, double sure) {
+  std::vector<double> out(pair.size() + 1);
+  std::size_t n = 0;
+  // In camera k-1, where the map's depths are: x_prev ~ x + rho u with x = R^T x_cur.
+  const Mat3 back = transposed(view.R);
+  const Vec3 t = back * (-1.0 * view.t);
+  for (std::size_t i = 0; i < pair.size(); i += LANES) {
+    const std::size_t lanes = std::min(LANES, pair.size() - i);
+    Four cur_x, cur_y, prev_x, prev_y, sigma, before, variance;
+    for (std::size_t j = 0; j < LANES; ++j) {
+      const auto at = static_cast<py::ssize_t>(j < lanes ? i + j : i);
+      cur_x[j] = pair.rays_cur(at, 0), cur_y[j] = pair.rays_cur(at, 1);
+      prev_x[j] = pair.rays_prev(at, 0), prev_y[j] = pair.rays_prev(at, 1);
+      sigma[j] = pair.sigma[at], before[j] = known[at].rho, variance[j] = known[at].variance;
+    }
+    const Four3 a = back * Four3{cur_x, cur_y, Four{} + 1.0};
+    const Four x = a.x / a.z, y = a.y / a.z;
+    const Four gx = (t[0] - x * t[2]) * view.fx, gy = (t[1] - y * t[2]) * view.fy;
+    const Four square = at_least(gx * gx + gy * gy, 1e-18);
+    const Four rho = ((prev_x - x) * view.fx * gx + (prev_y - y) * view.fy * gy) / square;
+    const Four ahead = 1.0 - rho * t[2], length = rho / before;
+    const auto told = (variance < INFINITE) & (before > 0.0) &
+                      (ahead * ahead * sigma < sure * rho * root(square));
+    for (std::size_t j = 0; j < lanes; ++j) {
+      out[n] = length[j];
+      n -= told[j];
+    }
+  }
+  out.resize(n);
+  return out;
+}
+
+// Number of such blocks, and the median of their lengths.
 py::tuple told_length(const py::tuple& pair_, const py::object& known_, const py::object& R,
                       const py::object& t, double sure) {
   constexpr auto kernel = "told_length";
   require(pair_.size() == 4, kernel, "a pair has rays_cur, rays_prev, sigma, focal");
   const PairArrays pair(kernel, pair_[0], pair_[1], pair_[2]);
   const TwoView view = two_view(kernel, R, t, pair_[3]);
-  const auto known = known_of(kernel, known_, pair.rays_cur.size());
-  std::vector<double> lengths;
-  // In camera k-1, where the map's depths are: x_prev ~ x + rho u with x = R^T x_cur.
-  const Mat3 back = transposed(view.R);
-  const Vec3 u = back * (-1.0 * view.t);
-  for (std::size_t i = 0; i < pair.size(); ++i) {
-    if (!known[i].any() || !(known[i].rho > 0)) continue;
-    const Vec3 a = back * Vec3{pair.rays_cur(i, 0), pair.rays_cur(i, 1), 1};
-    const double x = a[0] / a[2], y = a[1] / a[2];
-    const double gx = (u[0] - x * u[2]) * view.fx, gy = (u[1] - y * u[2]) * view.fy;
-    const double square = std::max(gx * gx + gy * gy, 1e-18);
-    const double rho = ((pair.rays_prev(i, 0) - x) * view.fx * gx +
-                        (pair.rays_prev(i, 1) - y) * view.fy * gy) / square;
-    const double ahead = 1 - rho * u[2];
-    if (ahead * ahead * pair.sigma[i] < sure * rho * std::sqrt(square))
-      lengths.push_back(rho / known[i].rho);
-  }
+  auto lengths = lengths_of(pair, view, known_of(kernel, known_, pair.rays_cur.size()), sure);
   const auto count = lengths.size();
   return py::make_tuple(count, middle_of(std::move(lengths)));
 }
