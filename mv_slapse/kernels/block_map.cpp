@@ -484,8 +484,8 @@ Fit terms(const Foretold& pair, const TwoView& view, double width) {
 
 constexpr std::size_t EVERY = 3;  // of the blocks, by which starts and medians are judged
 
-// Lengths [map unit] that blocks give to a pair's own motion, |t| = 1, where both that, to the share
-// ``sure``, and the map tell their depth.
+// Lengths [map unit] that blocks give to a pair's own motion, |t| = 1, where both that, to the
+// share ``sure``, and the map tell their depth.
 KERNELS_WIDE
 std::vector<double> lengths_of(const PairArrays& pair, const TwoView& view,
                                const std::vector<Known>& known, double sure) {
@@ -741,33 +741,39 @@ py::array_t<double> fuse_map(const py::object& points_, const py::tuple& pair_,
     return points[k].variance / std::max(points[k].rho * points[k].rho, 1e-24);
   };
   std::vector<char> kept(points.size(), 1);
-  const Shown shown(points.data(), points.size(), picture, 0);
-  for (std::size_t i = 0; i < shown.count; ++i) {
-    const int k = shown.number[i];
-    const int cell = Picture::cell_of(shown.y[i]) * picture.columns + Picture::cell_of(shown.x[i]);
-    Point& p = points[k];
-    if (first[cell] >= 0 && seen[first[cell]].foretold) {
-      const Seen& one = seen[first[cell]];
-      const double off = one.rho - one.before, noise = one.sigma * one.sigma,
-                   sum = one.variance + noise;
-      if (off * off < gate * sum) {
-        double gain = one.variance / sum;
-        if (one.sigma < sure * std::abs(one.before)) gain = std::max(gain, least);
-        const double longer = norm({pair.rays_cur(first[cell], 0), pair.rays_cur(first[cell], 1), 1});
-        const double share = p.rho * longer / (std::abs(one.before) > 1e-9 ? one.before : 1e-9);
-        p.rho += gain * off * (share > 0.5 && share < 2 ? share : 1) / longer;
-        p.variance *= ((1 - gain) * (1 - gain) * one.variance + gain * gain * noise) /
-                      std::max(one.variance, 1e-18);
-      } else {
-        p.variance *= doubt;
+  // Some at a time, for which little memory is enough.
+  constexpr std::size_t SOME = 256;
+  for (std::size_t begin = 0; begin < points.size(); begin += SOME) {
+    const Shown shown(&points[begin], std::min(SOME, points.size() - begin), picture, 0);
+    for (std::size_t i = 0; i < shown.count; ++i) {
+      const int k = static_cast<int>(begin) + shown.number[i];
+      const int column = Picture::cell_of(shown.x[i]), row = Picture::cell_of(shown.y[i]);
+      const int cell = row * picture.columns + column;
+      Point& p = points[k];
+      if (first[cell] >= 0 && seen[first[cell]].foretold) {
+        const Seen& one = seen[first[cell]];
+        const double off = one.rho - one.before, noise = one.sigma * one.sigma,
+                     sum = one.variance + noise;
+        if (off * off < gate * sum) {
+          double gain = one.variance / sum;
+          if (one.sigma < sure * std::abs(one.before)) gain = std::max(gain, least);
+          const int block = first[cell];
+          const double longer = norm({pair.rays_cur(block, 0), pair.rays_cur(block, 1), 1});
+          const double share = p.rho * longer / (std::abs(one.before) > 1e-9 ? one.before : 1e-9);
+          p.rho += gain * off * (share > 0.5 && share < 2 ? share : 1) / longer;
+          p.variance *= ((1 - gain) * (1 - gain) * one.variance + gain * gain * noise) /
+                        std::max(one.variance, 1e-18);
+        } else {
+          p.variance *= doubt;
+        }
       }
-    }
-    const int other = best[cell];
-    if (!(p.variance < worst * worst) || (other >= 0 && unsure(other) <= unsure(k))) {
-      kept[k] = 0;
-    } else {
-      if (other >= 0) kept[other] = 0;
-      best[cell] = k;
+      const int other = best[cell];
+      if (!(p.variance < worst * worst) || (other >= 0 && unsure(other) <= unsure(k))) {
+        kept[k] = 0;
+      } else {
+        if (other >= 0) kept[other] = 0;
+        best[cell] = k;
+      }
     }
   }
   std::size_t n = 0;
