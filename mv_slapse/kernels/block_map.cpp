@@ -45,8 +45,6 @@ py::array_t<double> array_of(const std::vector<Point>& points, std::size_t most)
   return out.array();
 }
 
-double middle_of(std::vector<double> values) { return values.empty() ? 0 : median(values); }
-
 // A picture's macroblocks.
 struct Picture {
   Picture(const char* kernel, const py::object& K_, const py::object& size_) {
@@ -529,7 +527,7 @@ py::tuple told_length(const py::tuple& pair_, const py::object& known_, const py
   const TwoView view = two_view(kernel, R, t, pair_[3]);
   auto lengths = lengths_of(pair, view, known_of(kernel, known_, pair.rays_cur.size()), sure);
   const auto count = lengths.size();
-  return py::make_tuple(count, middle_of(std::move(lengths)));
+  return py::make_tuple(count, median(std::move(lengths)));
 }
 
 // Covariance of (w, t / |t|) by the information A (6, 6) about (w, t).
@@ -571,7 +569,7 @@ py::tuple fit_to_map(const py::tuple& pair_, const py::object& known_, const py:
   std::vector<double> depths;
   for (const Known& one : known)
     if (one.any()) depths.push_back(one.rho);
-  const FitPolicy how{policy(is, "relief"), policy(is, "weak"), std::max(middle_of(depths), 1e-9)};
+  const FitPolicy how{policy(is, "relief"), policy(is, "weak"), std::max(median(depths), 1e-9)};
   const Foretold all(pair, known, how), few(pair, known, how, EVERY);
   TwoView view{};
   double least = INFINITE;
@@ -693,7 +691,7 @@ std::pair<std::vector<Seen>, double> measured(const PairArrays& pair,
     }
     if (one.good) own.push_back(one.rho);
   }
-  const double usual = middle_of(std::move(foretold.size() > 20 ? foretold : own));
+  const double usual = median(std::move(foretold.size() > 20 ? foretold : own));
   for (std::size_t i = 0; i < pair.size(); ++i) {
     // By the depth that was foretold: by its own, what errs towards the camera would count more.
     const double rho = out[i].foretold ? out[i].before : usual, ahead = 1 - rho * t[2];
@@ -732,7 +730,7 @@ py::array_t<double> fuse_map(const py::object& points_, const py::tuple& pair_,
   }
   std::vector<double> distances;
   for (std::size_t k = 0; k < points.size(); k += EVERY) distances.push_back(points[k].rho);
-  const double worst = 1.5 * std::max(middle_of(std::move(distances)), 0.0);
+  const double worst = 1.5 * std::max(median(std::move(distances)), 0.0);
   const double gate = policy(is, "gate"), least = policy(is, "least_gain"),
                sure = policy(is, "sure"), doubt = policy(is, "doubt"),
                relief = policy(is, "first_relief");
