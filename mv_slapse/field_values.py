@@ -110,6 +110,14 @@ def read_points(messages: Any) -> np.ndarray:
     return check.numbers(rows, 'outline', (len(rows), 3), check.FARTHEST)
 
 
+def map_plane_values(msg: Any) -> tuple:
+    """Return normal, depth, covariance, outline and both stamps of a mv_slapse_msgs/MapPlane."""
+    return (read_xyz(msg.normal, 'planes[].normal', 2.0),
+            check.number(msg.depth, 'planes[].depth', -check.FARTHEST, check.FARTHEST),
+            check.covariance(msg.covariance, 'planes[].covariance', 4), read_points(msg.outline),
+            stamp_from_message(msg.first_seen), stamp_from_message(msg.last_seen))
+
+
 def quaternion(R: np.ndarray) -> Fields:
     """Return geometry_msgs/Quaternion of a rotation matrix."""
     x, y, z, w = from_matrix(R)

@@ -18,6 +18,7 @@ from mv_slapse.field_values import (
     flat,
     header,
     labels,
+    map_plane_values,
     named_xyz,
     pair_of,
     point_columns,
@@ -218,13 +219,13 @@ def scene_from_messages(odometry: Any, plane_map: Any, frames: RosFrames,
 
     ``baseline`` [map unit] is in neither message; it is the distance to the previous pose.
     """
-    pose = pose_from_message(odometry, frames)
+    pose, inverse = pose_from_message(odometry, frames), frames.inverse()
     twist = ros_frames.twist_to_world(_twist_from_message(odometry.twist), pose.R, frames)
     return SceneEstimate(
         stamp_from_message(odometry.header.stamp), tracking_from_message(plane_map),
         plane_map.reason, pose.R, pose.t, pose.covariance, twist.linear, twist.angular,
         twist.covariance, check.member(ScaleStatus, plane_map.scale_status, 'scale_status'),
-        plane_map.scale_source, tuple(_map_plane_from_message(plane, frames) for plane
+        plane_map.scale_source, tuple(_map_plane_from_message(plane, frames, inverse) for plane
                                       in check.count(plane_map.planes, 'planes')), baseline,
         int(plane_map.resets), unit=check.number(plane_map.unit, 'unit', *UNITS))
 
@@ -244,7 +245,7 @@ def check_plane_map(msg: Any):
     check.member(ScaleStatus, msg.scale_status, 'scale_status')
     check.number(msg.unit, 'unit', *UNITS)
     for plane in check.count(msg.planes, 'planes'):
-        _map_plane_from_message(plane, RosFrames())
+        map_plane_values(plane)
 
 
 def tracking_from_message(plane_map: Any) -> TrackingStatus:
@@ -320,14 +321,11 @@ def map_plane_to_fields(plane: MapPlane, frames: RosFrames) -> Fields:
             'n_macroblocks': int(plane.n_macroblocks), 'is_ground': bool(plane.is_ground)}
 
 
-def _map_plane_from_message(msg: Any, frames: RosFrames) -> MapPlane:
-    normal, depth, covariance = ros_frames.normal_depth_to_odom(
-        read_xyz(msg.normal, 'planes[].normal', 2.0),
-        check.number(msg.depth, 'planes[].depth', -check.FARTHEST, check.FARTHEST),
-        check.covariance(msg.covariance, 'planes[].covariance', 4), frames.inverse())
+def _map_plane_from_message(msg: Any, frames: RosFrames, inverse: RosFrames) -> MapPlane:
+    normal, depth, covariance, outline, first_seen, last_seen = map_plane_values(msg)
+    normal, depth, covariance = ros_frames.normal_depth_to_odom(normal, depth, covariance, inverse)
     return MapPlane(int(msg.id), normal, depth, covariance,
-                    ros_frames.points_to_world(read_points(msg.outline), frames),
-                    stamp_from_message(msg.first_seen), stamp_from_message(msg.last_seen),
+                    ros_frames.points_to_world(outline, frames), first_seen, last_seen,
                     int(msg.n_observations), int(msg.n_macroblocks), bool(msg.is_ground))
 
 

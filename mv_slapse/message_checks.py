@@ -5,6 +5,7 @@ Whoever can publish can write anything into a message: each check names the fiel
 
 from collections.abc import Iterable
 from enum import IntEnum
+import math
 from typing import Any
 
 from mv_slapse.errors import UnusableInput
@@ -95,11 +96,12 @@ def count(items: Any, field: str, most: int = MAX_ITEMS) -> Any:
 def numbers(values: Any, field: str, shape: tuple[int, ...],
             bound: float = np.finfo(float).max) -> np.ndarray:
     """Return finite numbers of a shape, none beyond a bound."""
-    found = np.array(values, float).ravel()
-    if found.size != int(np.prod(shape)):
-        refuse(f'length of {field}', found.size, f'must be {int(np.prod(shape))}')
-    if not np.all(np.abs(found) <= bound):
-        at = int(np.argmin(np.abs(found) <= bound))
+    found, n = np.array(values, float).ravel(), math.prod(shape)
+    if found.size != n:
+        refuse(f'length of {field}', found.size, f'must be {n}')
+    good = np.abs(found) <= bound
+    if not good.all():
+        at = int(np.argmin(good))
         refuse(f'{field}[{at}]', found[at].item(), f'must be finite and within ±{bound:.3g}')
     return found.reshape(shape)
 
@@ -107,15 +109,18 @@ def numbers(values: Any, field: str, shape: tuple[int, ...],
 def covariance(values: Any, field: str, n: int) -> np.ndarray:
     """Return a covariance (n, n): finite, no variance below zero."""
     found = numbers(values, field, (n, n), 1e300)
-    if np.any(np.diag(found) < 0):
-        refuse(f'diagonal of {field}', float(np.diag(found).min()), 'a variance is never negative')
+    if (found.diagonal() < 0).any():
+        least = float(found.diagonal().min())
+        refuse(f'diagonal of {field}', least, 'a variance is never negative')
     return found
 
 
 def rotation(values: Any, field: str) -> np.ndarray:
     """Return a rotation matrix (3, 3)."""
     R = numbers(values, field, (3, 3), 2.0)
-    if not np.allclose(R @ R.T, np.eye(3), atol=UNIT) or np.linalg.det(R) < 0:
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    turns = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0
+    if not turns or np.abs(R @ R.T - np.eye(3)).max() > UNIT:
         refuse(field, R.ravel().tolist(), 'must be a rotation matrix')
     return R
 
@@ -158,7 +163,7 @@ def same_length(msg: Any, names: Iterable[str], most: int) -> int:
 def within(values: np.ndarray, field: str, low: float, high: float) -> np.ndarray:
     """Return a column whose values lie within bounds; NaN is within none."""
     good = (values >= low) & (values <= high)
-    if not np.all(good):
+    if not good.all():
         at = int(np.argmin(good))
         refuse(f'{field}[{at}]', values[at].item(), f'must be {low:g} to {high:g}')
     return values

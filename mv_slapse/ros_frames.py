@@ -141,10 +141,10 @@ def normal_depth_to_odom(normal: np.ndarray, depth: float, covariance: np.ndarra
     R, t = frames.R_odom_from_world, frames.t_odom_from_world
     J = np.zeros((4, 4))
     J[:3, :3], J[3, :3], J[3, 3] = R, -t @ R, 1
-    moved = J @ np.r_[normal, depth]
+    moved = J @ (*normal, depth)
     covariance = J @ covariance @ J.T
     # Along the normal there is none, which rounding would make less.
-    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), 0.0))
+    covariance.flat[::5] = np.maximum(covariance.diagonal(), 0.0)
     return moved[:3], float(moved[3]), covariance
 
 

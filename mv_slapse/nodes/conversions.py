@@ -61,6 +61,8 @@ def _entry(message_type: type, name: str, default: Any, value: Any) -> Any:
         return np.asarray(value, default.dtype)
     if isinstance(default, list) and value and isinstance(value[0], dict):
         item_type = _item_type(message_type, name)
+        if all(isinstance(number, float) for number in value[0].values()):  # corners of outlines
+            return [item_type(**item) for item in value]
         return [to_message(item_type, item) for item in value]
     return value
 
