@@ -62,7 +62,20 @@ class SupervisedExecutor(SingleThreadedExecutor):
 
             return run
 
-        return super()._make_handler(entity, node, take)
+        # After each callback rclpy wakes the other threads of an executor, of which this one has
+        # none: it would itself be woken for nothing, and build its whole wait set twice.
+        guard, self._guard = self._guard, _Nobody()
+        try:
+            return super()._make_handler(entity, node, take)
+        finally:
+            self._guard = guard
+
+
+class _Nobody:
+    """Takes the place of a guard condition that wakes other threads."""
+
+    def trigger(self):
+        """Wake nobody."""
 
 
 class Tracebacks:
