@@ -54,7 +54,7 @@ class _Limit:
         self._before: list[int] = []
 
     def __enter__(self):
-        """Set one thread."""
+        """Set one thread, unless another context has done so."""
         with self._lock:
             if not self._entered:
                 self._before = [library.threads() for library in self._libraries]

@@ -15,8 +15,8 @@ from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Correspondences, SegmentKind
 
 SAMPLE = 400  # correspondences that are enough to measure the parallax
-_columns = attrgetter('x_cur', 'x_prev', 'sigma', 'probability', 'block')  # of a pair
 FEWEST = 8  # correspondences that tell a parallax: three unknowns of a rotation, robustly
+_columns = attrgetter('x_cur', 'x_prev', 'sigma', 'probability', 'block')  # of a pair
 
 
 class Chainer:

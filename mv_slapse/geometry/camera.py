@@ -35,7 +35,7 @@ class Camera:
 
 
 def undistort(camera: Camera, x: np.ndarray) -> np.ndarray:
-    """Return ideal pixels (N, 2) of pixels (N, 2) seen through the lens."""
+    """Return ideal pixels (N, 2) of pixels (N, 2) seen through the lens, float64 if it bends."""
     is_fisheye = camera.lens == 'equidistant'  # whose r = f theta is no pinhole's, whatever D is
     if not len(x) or not is_fisheye and not camera.distortion.any():
         return x.copy()

@@ -64,7 +64,7 @@ class SupervisedExecutor(SingleThreadedExecutor):
 
         # After each callback rclpy wakes the other threads of an executor, of which this one has
         # none: it would itself be woken for nothing, and build its whole wait set twice.
-        guard, self._guard = self._guard, _Nobody()
+        guard, self._guard = self._guard, NOBODY
         try:
             return super()._make_handler(entity, node, take)
         finally:
@@ -76,6 +76,9 @@ class _Nobody:
 
     def trigger(self):
         """Wake nobody."""
+
+
+NOBODY = _Nobody()
 
 
 class Tracebacks:
