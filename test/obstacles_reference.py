@@ -187,6 +187,26 @@ def _well_covered(low, high, thickness):
             min(at[thick[-1] + 1] + 0.5 * rules.SLIVER, np.max(high)))
 
 
+def hollow(x, block, least, columns):
+    """Return where the lower edge lies highest above the lines between all its places, or NaN."""
+    left = (x[:, 0] - block[:, 0] / 2).min()
+    n = round(((x[:, 0] + block[:, 0] / 2).max() - left) / MACROBLOCK)
+    edge = np.full(n, -np.inf)
+    for (x_, y), (width, height) in zip(x, block, strict=True):
+        for k in range(n):  # those of which a block covers a quarter or more
+            begin = left + k * MACROBLOCK
+            common = min(x_ + width / 2, begin + MACROBLOCK) - max(x_ - width / 2, begin)
+            if common > MACROBLOCK / 4:
+                edge[k] = max(edge[k], y + height / 2)
+    lower = np.array([np.median([edge[max(k - 1, 0)], edge[k], edge[min(k + 1, n - 1)]])
+                      for k in range(n)])
+    gap = [max((lower[i] + (lower[k] - lower[i]) * (j - i) / (k - i)
+                for i in range(j) for k in range(j + 1, n)), default=-np.inf) - lower[j]
+           for j in range(columns, n - columns)]
+    deep = np.flatnonzero(np.array(gap) > max([least, *(np.array(gap) - 1e-9)]))
+    return left + MACROBLOCK * (columns + (deep[0] + deep[-1]) / 2 + 0.5) if len(deep) else np.nan
+
+
 def largest_part(x, block, plane_id, number):
     """Return centres and sizes of the largest connected part of a plane's blocks."""
     at = plane_id == number

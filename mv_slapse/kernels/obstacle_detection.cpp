@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdint>
 #include <iterator>
+#include <limits>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -18,6 +19,7 @@ namespace kernels {
 namespace {
 
 constexpr int SIZE = 8, DEPTH = 2, RATE = 3, SLOPE = 6;
+constexpr double NOWHERE = std::numeric_limits<double>::quiet_NaN();
 
 struct Box {
   double low[2], high[2];
@@ -91,6 +93,67 @@ py::array_t<double> body_box(const py::object& x, const py::object& block, doubl
   for (int a = 0; a < 2; ++a)
     std::tie(out.low[a], out.high[a]) = well_covered(region, a, thinnest, sliver);
   return array(out);
+}
+
+// Least values above others, given one after the other, that fall away from their middle and never
+// bend upwards: those of a line from each to the next that it can be drawn to. Infinite ones, of
+// which nothing is known, count nothing.
+std::vector<double> bulging(const std::vector<double>& values) {
+  std::vector<std::size_t> corner;
+  const auto slope = [&](std::size_t i, std::size_t k) {
+    return (values[k] - values[i]) / static_cast<double>(k - i);
+  };
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    if (!std::isfinite(values[i])) continue;
+    while (corner.size() > 1 && slope(corner[corner.size() - 2], corner.back()) <=
+                                    slope(corner[corner.size() - 2], i))
+      corner.pop_back();
+    corner.push_back(i);
+  }
+  std::vector<double> out = values;
+  for (std::size_t k = 0; k + 1 < corner.size(); ++k)
+    for (auto i = corner[k]; i < corner[k + 1]; ++i)
+      out[i] = values[corner[k]] + slope(corner[k], corner[k + 1]) *
+                                       static_cast<double>(i - corner[k]);
+  return out;
+}
+
+// Where the lower edge of a region lies highest above what spans it from below [px], NaN where
+// that is nowhere more than `least` or too near an end. The ground that a vehicle stands on is a
+// rectangle, whose near edges bulge towards the camera: where they are hollow two stand there.
+double hollow(const py::object& x, const py::object& block, double cell, double least,
+              int columns) {
+  const Region region("hollow", x, block);
+  const Box box = box_of(region.x, region.block);
+  const auto n = static_cast<int>(std::nearbyint((box.high[0] - box.low[0]) / cell));
+  if (n <= 2 * columns) return NOWHERE;
+  std::vector<double> edge(n, -HUGE_VAL), lower(n);
+  for (py::ssize_t i = 0; i < region.x.size(); ++i) {
+    const double half = region.block(i, 0) / 2, middle = region.x(i, 0) - box.low[0];
+    // A block that reaches a little into the next column is not there.
+    const int from = std::max(static_cast<int>(std::floor((middle - half) / cell + 0.25)), 0);
+    const int to = std::max(static_cast<int>(std::ceil((middle + half) / cell - 0.25)), from + 1);
+    for (int k = from; k < std::min(to, n); ++k)
+      edge[k] = std::max(edge[k], region.x(i, 1) + region.block(i, 1) / 2);
+  }
+  // One column that stands out, or lacks its lowest block, says nothing.
+  for (int k = 0; k < n; ++k) {
+    const double a = edge[std::max(k - 1, 0)], b = edge[k], c = edge[std::min(k + 1, n - 1)];
+    lower[k] = std::max(std::min(a, b), std::min(std::max(a, b), c));
+  }
+  const auto spanned = bulging(lower);
+  int deepest = -1, last = -1;
+  double most = least;
+  for (int k = columns; k < n - columns; ++k) {
+    const double gap = spanned[k] - lower[k];
+    if (gap > most) {
+      most = gap;
+      deepest = last = k;
+    } else if (deepest >= 0 && gap == most) {
+      last = k;
+    }
+  }
+  return deepest < 0 ? NOWHERE : box.low[0] + (0.5 * (deepest + last) + 0.5) * cell;
 }
 
 // Centres and sizes of the largest connected part of the blocks of a plane; single gaps join.
@@ -552,6 +615,7 @@ void bind_obstacle_detection(kernels::py::module_& module) {
   using namespace kernels;
   module.def("region_box", region_box);
   module.def("body_box", body_box);
+  module.def("hollow", hollow);
   module.def("largest_part", largest_part);
   module.def("shared_cells", shared_cells);
   module.def("bearing_covariance", bearing_covariance);

@@ -129,14 +129,18 @@ def joined(group: Sequence[Detection], view: View) -> Detection:
     first = group[0]
     if len(group) == 1:
         return first
-    x = np.concatenate([item.x for item in group])
-    block = np.concatenate([item.block for item in group])
+    x, block = (np.concatenate([getattr(item, name) for item in group]) for name in ('x', 'block'))
+    return about(first, x, block, view)
+
+
+def about(surface: Detection, x: np.ndarray, block: np.ndarray, view: View) -> Detection:
+    """Return the detection of a motion about the middle of other blocks (N, 2), (N, 2)."""
     box = box_of(x, block)
-    # All is made anew: what is kept of the first one is the box of its blocks.
+    # All is made anew: what is kept of a detection is the box of its blocks.
     centre = to_rays(view.K, (box[:2] + box[2:] / 2)[None])[0, :2]
-    z, R = compiled.state_about(first.z, first.R, centre)
+    z, R = compiled.state_about(surface.z, surface.R, centre)
     R[om.BEARING, om.BEARING] = bearing_covariance(box, block, view)
-    return _on_ground(dataclasses.replace(first, z=z, R=R, x=x, block=block), view)
+    return _on_ground(dataclasses.replace(surface, z=z, R=R, x=x, block=block), view)
 
 
 def _detection(plane, extraction, view, unit, settings):

@@ -7,17 +7,21 @@ behind each other; but the road shows below the farther one.
 
 from collections.abc import Sequence
 
+from mv_slapse.changed import replace
 from mv_slapse.geometry.blocks import MACROBLOCK
 from mv_slapse.geometry.camera import to_rays
 from mv_slapse.geometry.rotation import norm
+from mv_slapse.kernels.binding import compiled
 from mv_slapse.obstacles import motion_model as om
-from mv_slapse.obstacles.detection import box_of, Detection, MOST
+from mv_slapse.obstacles.detection import about, box_of, Detection, MOST
 from mv_slapse.obstacles.view import View
 from mv_slapse.records import Extraction, Label
 import numpy as np
 
 WIDTH, LENGTH = 2.55, 18.75  # [m] of the largest vehicles on roads, directive 96/53/EC
 SURE = 2.0  # standard deviations by which all may be in favour of one vehicle
+HOLLOW = 1.25 * MACROBLOCK  # px by which a lower edge is hollow beyond its rounding to a block,
+COLUMNS = 2  # and as many of blocks on either side: as the smallest region has
 BELOW = 2 * MACROBLOCK  # px below a surface where most blocks show the road if it is a foot
 
 
@@ -37,6 +41,24 @@ def may_be_one(whole: Detection, view: View) -> bool:
     length = LENGTH * view.metre
     width = outer * near + (inner * near if ends[0] * ends[1] < 0 else -inner * (near + length))
     return bool(width < WIDTH * view.metre + SURE * unsure * length)
+
+
+def bodies(whole: Detection, view: View, least: int) -> list[Detection]:
+    """Return a surface that is too wide for one vehicle as two, where its lower edge is hollow.
+
+    The ground that a vehicle covers is a rectangle, whose near sides bulge towards the camera.
+    Either has ``least`` blocks, and the smaller one the complement of the id. Else itself.
+    """
+    if may_be_one(whole, view):
+        return [whole]
+    left = whole.x[:, 0] < compiled.hollow(whole.x, whole.block, MACROBLOCK, HOLLOW, COLUMNS)
+    sides = sorted((~left, left), key=np.count_nonzero, reverse=True)
+    if np.count_nonzero(sides[1]) < least:
+        return [whole]
+    parts = [about(whole, whole.x[side], whole.block[side], view) for side in sides]
+    if any(part.edge is whole.edge for part in parts):
+        return [whole]  # one does not show where it stands
+    return [parts[0], replace(parts[1], id=~whole.id)]
 
 
 def stand_apart(surfaces: Sequence[Detection], extraction: Extraction, view: View) -> bool:

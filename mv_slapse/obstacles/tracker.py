@@ -81,8 +81,10 @@ class ObstacleTracker:
             self._place = scene.t_world_from_cam
         owners = {track.plane_id: track for track in self._tracks}
         expected = {track.plane_id: track.box(view) for track in self._tracks}
+        found = [body for item in detections(extraction, view, self._settings)
+                 for body in footprint.bodies(item, view, self._settings.min_macroblocks)]
         found = [joined(group, view) for group in association.groups(
-            detections(extraction, view, self._settings), self._settings.gate, expected,
+            found, self._settings.gate, expected,
             lambda group: self._may_be_one(group, extraction))]
         free = self._continue(self._of_one(found), owners, extraction)
         self._search(extraction)
@@ -211,7 +213,7 @@ class ObstacleTracker:
         for track in self._tracks:
             track.confirmed = track.confirmed or self._may_drive(track) and lifecycle.confirms(
                 track.evidence, self._view.is_metric, self._settings, self._is_alone(track))
-            if (track.confirmed and track.plane_id != tracks.NO_PLANE
+            if (track.confirmed and track.plane_id > tracks.NO_PLANE
                     and self._has_stopped(track, extraction)):
                 given.append(track)
         handed = [track.handover(extraction.stamp, self._view) for track in given]
@@ -262,7 +264,7 @@ class ObstacleTracker:
     def _new_id(self, plane_id):
         """Return the plane's id, or one of the tracker's own where that is taken."""
         new = {track.id for track in self._tracks}
-        if plane_id not in self._used and plane_id not in new:
+        if plane_id >= 0 and plane_id not in self._used and plane_id not in new:
             return plane_id
         self._next_id = next(i for i in itertools.count(self._next_id + 1)
                              if i not in self._used and i not in new)

@@ -100,6 +100,18 @@ def test_regions_have_the_outlines_of_the_formula(seed):
         assert compiled.shared_cells(x, some, MACROBLOCK) == reference.shared_cells(x, some)
 
 
+@pytest.mark.parametrize('seed', range(24))
+def test_a_lower_edge_is_hollow_as_by_the_formula(seed):
+    rng = np.random.default_rng(seed)
+    n, (a, b) = rng.integers(3, 24), rng.uniform(-0.8, 0.8, 2)
+    at = 16 * np.arange(n) + rng.uniform(0, 8)
+    low = 300 + np.maximum(a * (at - at[n // 2]), b * (at - at[n // 2])) + rng.uniform(-4, 4, n)
+    x = np.concatenate([np.c_[at, low - 8], np.c_[at, low - 24]])
+    block = np.full(x.shape, 16.0)
+    found = compiled.hollow(x, block, MACROBLOCK, 20.0, 2)
+    assert found == pytest.approx(reference.hollow(x, block, 20.0, 2), nan_ok=True)
+
+
 @pytest.mark.parametrize('seed', range(12))
 def test_a_plane_keeps_its_largest_part(seed):
     rng = np.random.default_rng(seed)

@@ -16,7 +16,8 @@ CAMERA = np.array([0.0, 0, 15])  # [m/s]
 
 def view(**changes):
     fields = {'K': K, 'ground': np.array([0, -1 / HEIGHT, 0]), 'metre': 1.0,
-              'scene_velocity': -CAMERA, 'scene_covariance': 0.01 * np.eye(3)}
+              'size': np.array([1280.0, 720.0]), 'scene_velocity': -CAMERA,
+              'scene_covariance': 0.01 * np.eye(3)}
     return SimpleNamespace(**fields | changes)
 
 
@@ -72,6 +73,44 @@ def test_without_scale_it_goes_by_the_height_of_the_camera():
                 scene_covariance=1e-4 * np.eye(3))
     assert footprint.may_be_one(whole(CARS[:4], (0, 14), unit=0.1), free)
     assert not footprint.may_be_one(whole(CARS, (0, 14), unit=0.1), free)
+
+
+def blocks_above(*edges):
+    """Return a detection of the blocks above lower edges (x from, x to, row, row) [px]."""
+    x = [(at, first + (last - first) * (at - begin) / max(end - begin, 1) - 8 - up)
+         for begin, end, first, last in edges for at in range(begin + 8, end, 16)
+         for up in range(0, 64, 16)]
+    whole_ = whole(CARS, (0, 14))
+    return replace(whole_, x=np.array(x, float), block=np.full((len(x), 2), 16.0))
+
+
+def test_buses_beside_each_other_are_two_where_the_edge_between_them_is_hollow():
+    # The rear of the one 9.6 m away, and the side of the other from 9 to 4.6 m.
+    found = footprint.bodies(blocks_above((560, 720, 480, 480), (720, 960, 488, 610)), view(), 4)
+    near, far = found
+    assert (near.id, far.id) == (1, ~1)
+    assert near.x[:, 0].min() > far.x[:, 0].max()
+    assert abs(far.x[:, 0].max() - 720) < 32
+    assert np.exp(far.z[2]) == pytest.approx(9.6, rel=0.08)
+    assert np.exp(near.z[2]) == pytest.approx(4.8, rel=0.08)  # its nearest two columns
+    np.testing.assert_allclose(near.z[3:6], far.z[3:6])  # one motion, that of the region
+
+
+@pytest.mark.parametrize('edges', [
+    ((560, 960, 520, 520),),  # cars side by side at one distance
+    ((560, 720, 520, 600), (720, 960, 600, 500)),  # a corner that points to the camera
+    ((560, 576, 480, 480), (576, 960, 500, 610)),  # one has less than the fewest columns
+], ids=['straight', 'bulging', 'narrow'])
+def test_what_is_not_hollow_stays_one(edges):
+    wide = blocks_above(*edges)
+    assert not footprint.may_be_one(wide, view())
+    assert footprint.bodies(wide, view(), 4) == [wide]
+
+
+def test_what_may_be_one_vehicle_is_not_divided():
+    edges = (560, 720, 480, 480), (720, 960, 488, 610)
+    unknown = replace(blocks_above(*edges), R=whole(CARS, (0, 14), speed_sigma=20.0).R)
+    assert footprint.bodies(unknown, view(), 4) == [unknown]
 
 
 # A car ahead at 10 m, and one in the lane beside it at 22 m; a lorry's rear and its side.
