@@ -301,7 +301,8 @@ def _observation_from_message(msg: Any) -> PlaneObservation:
     label = check.member(Label, msg.label, 'planes[].label')
     return PlaneObservation(
         int(msg.id), label, check.numbers(msg.plane, 'planes[].plane', (3,), check.FARTHEST),
-        check.covariance(msg.covariance, 'planes[].covariance', 6 if label is Label.MOVING else 3),
+        check.covariance(msg.covariance, 'planes[].covariance',
+                         3 if label is Label.STATIONARY else 6),
         check.numbers(msg.t_d, 'planes[].t_d', (3,), check.FARTHEST),
         check.numbers(msg.product, 'planes[].product', (3, 3), check.FARTHEST),
         check.member(ScalePrior, msg.scale_prior, 'planes[].scale_prior'), bool(msg.is_ground),

@@ -167,13 +167,14 @@ class PlaneObservation:
     Attributes
     ----------
     id : int
-        Lasts while the plane is followed, also through a change of label.
+        Lasts while the plane is followed, also through a change of label. Of one that may move
+        it is below -1, and of this pair alone.
     label : Label
-        STATIONARY or MOVING, Definition 2 of [MVO].
+        STATIONARY or MOVING, Definition 2 of [MVO]; UNKNOWN: half as sure that it moves.
     plane : (3,) float64
         n / d in the camera of key frame k, plane @ X = -1 [1/baseline].
     covariance : (3, 3) or (6, 6) float64
-        Of ``plane``; for a moving one of (plane, t_d).
+        Of ``plane``; of one that moves or may move of (plane, t_d).
     t_d : (3,) float64
         Displacement of a moving plane from k to k-1 in camera k, (11) of [MVO] [baseline].
     product : (3, 3) float64
@@ -222,7 +223,7 @@ class Extraction:
     label : (N,) int8
         Label of each correspondence; a wrong vector is UNKNOWN.
     plane_id : (N,) int32
-        Plane each belongs to, -1 for none.
+        Plane each belongs to, -1 for none; below: of a plane that may move.
     macroblock_label, macroblock_plane : (M,) int8, (M,) int32
         Label and plane of each 16x16 macroblock of the picture, row by row, -1 for none. What a
         mover covers is its own, also without a vector.

@@ -37,7 +37,8 @@ def labels(found: Found):
         moving = found.moving.label == Label.MOVING.value
         label[found.doubtful] = Label.UNKNOWN
         label[moving] = Label.MOVING
-        plane_id[moving] = found.moving.plane_id[moving]
+        own = moving | (found.moving.plane_id < -1) & (plane_id == -1)
+        plane_id[own] = found.moving.plane_id[own]
     return label, plane_id
 
 

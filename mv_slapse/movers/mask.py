@@ -99,7 +99,7 @@ def vote(extraction: Extraction, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return compiled.vote_macroblocks(
         np.ascontiguousarray(x, np.float32), np.ascontiguousarray(extraction.block, np.uint8),
         np.ascontiguousarray(extraction.label, np.int8),
-        np.ascontiguousarray(extraction.plane_id, np.int32), extraction.width, extraction.height,
+        np.maximum(extraction.plane_id, -1, dtype=np.int32), extraction.width, extraction.height,
         int(Label.UNKNOWN))
 
 

@@ -55,6 +55,7 @@ class Rules(NamedTuple):
 
 
 RULES = Rules()
+UNSURE = -2  # first id of a pair's regions that are not called moving; -1: no plane
 
 
 class KnownGround(NamedTuple):
@@ -134,7 +135,9 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     The extraction has motion, labels, and the ids of stationary planes; ``memory`` is what the
     last call returned, ``departure`` (N,) is as of movers.reference_depth, None: nothing is known.
     From the score ``threshold`` on, chi-square beyond its mean, a region is called moving: its
-    blocks are labelled MOVING with the plane's id. Returns extraction and memory.
+    blocks are labelled MOVING with the plane's id. Of what is half as sure a plane UNKNOWN is told,
+    whose id is negative and of this pair alone: its blocks keep their label, and those of no
+    stationary plane have its id. Returns extraction and memory.
     """
     departure = np.zeros(len(extraction.x_cur)) if departure is None else departure
     pair = _pair(extraction, departure)
@@ -148,13 +151,14 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     told = _Scores(*compiled.histories(alike, *now, memory.inherited(extraction), pair.plane_id,
                                        ground.id, RULES))
     told = told._replace(total=np.maximum(told.total, summed))
-    moves = _moves(alike, told, threshold, ground)
+    moves, unsure = _moves(alike, told, threshold, ground)
     size = alike.size
     ids, next_id = ids_of(size, moves, told.known, memory.next_id)
     known = np.full(len(pair.x), -1)
     known[alike.members] = np.repeat(ids, size)
+    ids[unsure] = UNSURE - np.arange(np.count_nonzero(unsure))
     seen = ground.plane if ground.nearer == 1 else None
-    planes = {i: plane for i in sorted((ids >= 0).nonzero()[0], key=lambda i: -size[i])
+    planes = {i: plane for i in sorted((ids != -1).nonzero()[0], key=lambda i: -size[i])
               if (plane := settled(fit, alike, i, view, seen)) is not None}
     found = _labelled(extraction, alike, planes, ids, told, view) if planes else extraction
     judged = Judged(pair.x, pair.x_prev, pair.block, told.score, told.left, known)
@@ -207,7 +211,7 @@ def _scored(alike, fit, view, ground, evidence):
 
 
 def _moves(alike, told, threshold, ground):
-    """Return which regions (R,) move.
+    """Return which regions (R,) move, and which of the others are half as sure.
 
     What was called moving is given up later than it was found. So is what lies beside it and is
     half as sure: the rest of a vehicle that fell to pieces. Not what ends above the horizon.
@@ -224,24 +228,33 @@ def _moves(alike, told, threshold, ground):
         for i in np.flatnonzero(suspect & ~moves):
             apart = np.linalg.norm(x[alike.rows(i)][:, None] - near, axis=2)
             moves[i] = np.min(apart) < RULES.reach
-    return moves
+    return moves, suspect & ~moves
 
 
 def _grown(alike, planes, view):
     """Return the blocks of moving regions and those around that move so, not as the ground."""
-    products = np.array([plane.product for plane in planes.values()])
-    members, first = compiled.grown(alike, alike, np.array([*planes]), products, view, RULES)
+    products = np.array([plane.product for plane in planes.values()]).reshape(-1, 3, 3)
+    members, first = compiled.grown(alike, alike, np.array([*planes], np.int64), products, view,
+                                    RULES)
     return [members[begin:end] for begin, end in pairwise((*first, None))]
 
 
 def _labelled(extraction, alike, planes, ids, told, view):
-    """Write the moving planes {region: plane} over blocks' first labels."""
+    """Write the planes {region: plane} over blocks' first labels and planes."""
     label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
     found = []
-    for (i, plane), member in zip(planes.items(), _grown(alike, planes, view), strict=True):
+    moving = {i: plane for i, plane in planes.items() if ids[i] >= 0}
+    members = dict(zip(moving, _grown(alike, moving, view) if moving else (), strict=True))
+    for member, i in zip(members.values(), members, strict=True):
         label[member] = Label.MOVING
         plane_id[member] = ids[i]
+    for i in planes.keys() - moving.keys():
+        member = alike.members[alike.rows(i)]
+        members[i] = member[plane_id[member] == -1]
+        plane_id[members[i]] = ids[i]
+    for i, plane in planes.items():
         found.append(PlaneObservation(
-            int(ids[i]), Label.MOVING, *plane, False, count_macroblocks(extraction.x_cur[member]),
+            int(ids[i]), Label.MOVING if i in moving else Label.UNKNOWN, *plane, False,
+            count_macroblocks(extraction.x_cur[members[i]]),
             float(max(told.total[i], told.gone[i]))))
     return replace(extraction, label=label, plane_id=plane_id, planes=(*extraction.planes, *found))

@@ -45,7 +45,7 @@ class Numbering:
 
     def applied(self, extraction: Extraction) -> Extraction:
         """Return an extraction with the ids that are its own."""
-        ids = [plane.id + self._offset for plane in extraction.planes]
+        ids = self._moved(np.array([plane.id for plane in extraction.planes], int)).tolist()
         self._newest = max([self._newest, *ids])
         if not self._offset:
             return extraction

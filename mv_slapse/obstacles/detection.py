@@ -54,6 +54,7 @@ class Detection:
     score: float = 0.0  # how much rather its region moves than not, as of PlaneObservation
     # the rate is evidence; else only the place is, and an obstacle with no other coasts
     has_rate: bool = True
+    moves: bool = True  # the labels call it moving; else only half as sure
 
     @cached_property
     def box(self) -> np.ndarray:
@@ -96,10 +97,10 @@ def is_cut(box: np.ndarray, view: View) -> np.ndarray:
 
 
 def detections(extraction: Extraction, view: View, settings: ObstacleSettings) -> list[Detection]:
-    """Return the moving planes of an extraction, largest first."""
+    """Return the planes of an extraction that move or may move, largest first."""
     found = []
     for plane in extraction.planes:
-        if plane.label is not Label.MOVING or plane.covariance.shape != (6, 6):
+        if plane.label is Label.STATIONARY or plane.covariance.shape != (6, 6):
             continue
         item = _detection(plane, extraction, view, view.unit, settings)
         if item is not None:
@@ -158,7 +159,8 @@ def _detection(plane, extraction, view, unit, settings):
         return None
     z, R, edge = found
     return Detection(plane.id, z, R, plane.scale_prior is ScalePrior.GROUND_CONTACT, x, block,
-                     plane.scale_prior, Edge(*edge.tolist()), plane.score)
+                     plane.scale_prior, Edge(*edge.tolist()), plane.score,
+                     moves=plane.label is Label.MOVING)
 
 
 def bearing_covariance(box, block, view):

@@ -58,7 +58,7 @@ def bodies(whole: Detection, view: View, least: int) -> list[Detection]:
     parts = [about(whole, whole.x[side], whole.block[side], view) for side in sides]
     if any(part.edge is whole.edge for part in parts):
         return [whole]  # one does not show where it stands
-    return [parts[0], replace(parts[1], id=~whole.id)]
+    return [parts[0], replace(parts[1], id=min(~whole.id, whole.id))]
 
 
 def stand_apart(surfaces: Sequence[Detection], extraction: Extraction, view: View) -> bool:

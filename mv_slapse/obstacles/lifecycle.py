@@ -27,11 +27,11 @@ class Rules(NamedTuple):
     overlap_gain: float = 9.0
     even_overlap: float = 0.78
     least_overlap: float = 0.5
-    believed: float = 1.2  # at which a body is: three to one
+    believed: float = 0.6  # at which a body is: 1.8 to 1; with less more false ones are confirmed
     even_score: float = ExtractionSettings.moving_score  # chi-square: labels call it moving
     # Beyond it for a unit: wrong vectors do not last, of 37 regions in kitti00, parking and
     # crossings the highest but one came to 26.
-    per_score: float = 15.0
+    per_score: float = 30.0
     independent: float = 0.1  # [s] after which an outline of wrong vectors is another one
 
 
@@ -49,6 +49,7 @@ class Evidence(NamedTuple):
     speed: float  # [map unit/s]
     overlap: float = 1.0  # intersection over union of the detection's box and the predicted one
     score: float = 0.0  # of its region, that it moves, chi-square over pairs; 0: not known
+    called: bool = True  # moving by the labels
 
 
 def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSettings,
@@ -66,8 +67,9 @@ def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSe
     newest, slowest = recent[-1], settings.min_speed if is_metric else 0.0
     bound = ekf.chi2_bound(settings.moving_confidence, 3)
     moves, lasts = newest.statistic + newest.score > bound, newest.statistic > bound and alone
+    moves &= newest.called
     lasted = 1e-9 * (newest.stamp - recent[0].start)
-    first_only = not any(e.dof for e in evidence)  # which only the settings can let suffice
+    first_only = len(evidence) == 1  # which only the settings can let suffice
     # A vehicle whose outline jumps, as where another one hides a part of it, moves all the same.
     lasting = max(newest.score - RULES.even_score, 0.0) / RULES.per_score
     body = one_body(evidence) + lasts * lasting

@@ -111,6 +111,11 @@ class Track:
             self._follow(extraction.stamp, view, settings)
             self.witness(extraction, view, detection, distance, dof, shared)
 
+    def begin_again(self, detection: Detection, extraction: Extraction, view: View):
+        """Forget all but the id and the age: what was seen before is another body, or none."""
+        vars(self).update(vars(start(detection, extraction, view, self.id))
+                          | {'first_seen': self.first_seen})
+
     def scale(self, unit: float):
         """Go on in a unit of length that makes ``unit`` of the one so far."""
         self.mu[om.LOG_DEPTH] += np.log(unit)
@@ -194,7 +199,8 @@ class Track:
                                         view.scene_covariance, nearer)
         speed = norm(self.motion(view).velocity)
         self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic,
-                                      nis, dof, speed, overlap, detection.score))
+                                      nis, dof, speed, overlap, detection.score,
+                                      detection.moves))
         self.evidence = within(self.evidence, KEPT_EVIDENCE)
 
     def height(self, view: View) -> float:

@@ -83,10 +83,12 @@ class ObstacleTracker:
         expected = {track.plane_id: track.box(view) for track in self._tracks}
         found = [body for item in detections(extraction, view, self._settings)
                  for body in footprint.bodies(item, view, self._settings.min_macroblocks)]
-        found = [joined(group, view) for group in association.groups(
-            found, self._settings.gate, expected,
-            lambda group: self._may_be_one(group, extraction))]
-        free = self._continue(self._of_one(found), owners, extraction)
+        moving, unsure = ([joined(group, view) for group in association.groups(
+            [item for item in found if item.moves is moves], self._settings.gate,
+            expected if moves else {}, lambda group: self._may_be_one(group, extraction))]
+            for moves in (True, False))
+        free = self._continue(self._of_one(moving), owners, extraction)
+        free += self._try(unsure, free, extraction)
         self._search(extraction)
         self._begin(free, extraction)
         self._merge()
@@ -138,10 +140,27 @@ class ObstacleTracker:
                 and self._may_be_one([*parts[i], item], extraction)), None)
             (free if home is None else parts[home]).append(item)
         for i, group in parts.items():
-            self._tracks[i].update(joined(group, self._view), extraction, self._view,
-                                   self._settings)
+            self._update(self._tracks[i], joined(group, self._view), extraction)
             self._own(self._tracks[i])
         return free
+
+    def _update(self, track, detection, extraction):
+        """Correct a track; one that nobody called moving begins again where none is a body."""
+        called = any(e.called for e in track.evidence)
+        track.update(detection, extraction, self._view, self._settings)
+        if not (called or lifecycle.one_body(track.evidence)):
+            track.begin_again(detection, extraction, self._view)
+
+    def _try(self, unsure, free, extraction):
+        """Follow what may move before the labels call it so; return what no track is near."""
+        tracks_ = [track for track in self._tracks
+                   if not track.confirmed and track.last_seen != extraction.stamp]
+        pairs = association.associate(tracks_, unsure, self._settings.gate)
+        for i, j in pairs:
+            self._update(tracks_[i], unsure[j], extraction)
+        places = [track.box(self._view) for track in self._tracks] + [item.box for item in free]
+        return [item for j, item in enumerate(unsure) if j not in {j for _, j in pairs}
+                and not any(association.box_overlap(place, item.box) for place in places)]
 
     def _own(self, owner):
         """Let a plane be of the track that it was seen of last, and of no other one."""

@@ -40,6 +40,12 @@ def test_the_plane_is_that_of_the_winners():
     assert (labels[0], planes[0]) == (0, 4)
 
 
+def test_what_may_move_gives_no_macroblock_a_plane():
+    labels, planes = vote([[7.5, 7.5], [23.5, 7.5]], [[16, 16], [16, 16]], [0, 0], [-2, 4])
+    np.testing.assert_array_equal(labels[:2], [0, 0])
+    np.testing.assert_array_equal(planes[:2], [-1, 4])
+
+
 def test_blocks_stand_where_the_picture_has_them_not_where_undistorted():
     labels, _ = vote([[14.0, 7.5]], [[16, 16]], [0], [2], x_picture=[[23.5, 7.5]])
     np.testing.assert_array_equal(labels[:2], [-1, 0])

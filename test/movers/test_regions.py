@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.extraction.extractor import PlaneExtractor
+from mv_slapse.geometry.blocks import count_macroblocks
 from mv_slapse.movers.identity import FIRST_ID, Memory
 from mv_slapse.movers.regions import KnownGround, with_moving_planes
 from mv_slapse.records import (
@@ -344,10 +345,27 @@ def test_only_what_rides_knows_movers_by_their_place_on_the_ground(rng, climb, l
 
 def test_labels_planes_and_ids_agree(rng):
     for found, _ in run(street_of('slower', 'faster'), rng, last=42):
-        moving = {plane.id for plane in found.planes}
+        moving = {plane.id for plane in found.planes if plane.label is Label.MOVING}
         assert set(found.plane_id[found.label == Label.MOVING]) == moving
-        assert all(plane.label is Label.MOVING and plane.n_macroblocks >= 3
-                   for plane in found.planes)
+        assert all(plane.n_macroblocks >= 3 for plane in found.planes)
+
+
+def test_what_is_half_as_sure_is_told_before_it_is_called_moving(rng):
+    told = []
+    for found, _ in run(street_of('slower', 'faster'), rng, last=42):
+        unsure = [plane for plane in found.planes if plane.label is Label.UNKNOWN]
+        for plane in unsure:
+            own = found.plane_id == plane.id
+            assert plane.id < -1
+            assert not np.any(found.label[own] == Label.MOVING)
+            assert plane.n_macroblocks == count_macroblocks(found.x_cur[own])
+            assert THRESHOLD / 2 <= plane.score < THRESHOLD
+            assert plane.covariance.shape == (6, 6)
+        assert len({plane.id for plane in unsure}) == len(unsure)
+        told.append((len(unsure), len(found.planes) - len(unsure)))
+    # A region scores 10 in a pair at most.
+    assert told[0][0] > 0 == told[0][1]
+    assert told[2][1] > 0
 
 
 def test_a_gap_forgets_and_no_blocks_are_no_movers(rng):

@@ -40,8 +40,15 @@ def test_less_does_not_confirm(case, why):
 
 def test_an_outline_that_lasts_makes_up_for_what_its_vectors_say():
     beside = evidence([50] * 8, nis=15, overlap=0.95)
-    assert not lifecycle.confirms(beside[:3], True, SETTINGS)
+    assert not lifecycle.confirms(beside[:2], True, SETTINGS)
     assert lifecycle.confirms(beside, True, SETTINGS)
+
+
+def test_what_the_labels_do_not_call_moving_is_not_confirmed_yet():
+    before = [item._replace(called=False) for item in evidence([50] * 4)]
+    assert not lifecycle.confirms(before, True, SETTINGS)
+    assert lifecycle.confirms([*before[:-1], before[-1]._replace(called=True)], True, SETTINGS)
+    assert not lifecycle.confirms([*evidence([50] * 4)[:-1], before[-1]], True, SETTINGS)
 
 
 def test_a_bad_beginning_is_forgotten():

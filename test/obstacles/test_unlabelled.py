@@ -99,3 +99,83 @@ def test_a_position_is_as_sure_as_the_outline_tells_not_the_newest_blocks(rng):
     whole = track.obstacle(extraction.stamp, view).covariance
     track.x, track.block = track.x[:4], track.block[:4]
     np.testing.assert_array_equal(track.obstacle(extraction.stamp, view).covariance, whole)
+
+
+def unsure(extraction, stops=False):
+    """Return an extraction whose movers are only half as sure, or another part of the picture."""
+    planes = tuple(replace(plane, id=-1 - plane.id, label=Label.UNKNOWN, score=8.0)
+                   for plane in extraction.planes)
+    own = np.where(extraction.plane_id > 0, -1 - extraction.plane_id, -1).astype(np.int32)
+    x = extraction.x_cur + np.float32([0, 48 if stops else 0])
+    return replace(extraction, planes=planes, plane_id=own, x_cur=x,
+                   label=np.zeros_like(extraction.label))
+
+
+def tracked(drive, rng, n_unsure, n_pairs, elsewhere=False):
+    """Return the obstacles of each pair, the first ones of regions that are only half as sure."""
+    tracker, found = ObstacleTracker(SETTINGS), []
+    for i in range(n_pairs):
+        extraction = drive.extraction(i * DT, (i + 1) * DT, rng)
+        if i < n_unsure:
+            extraction = unsure(extraction, elsewhere)
+        found.append(tracker.step(extraction, drive.scene(i * DT, (i + 1) * DT))[0])
+    return found
+
+
+def test_what_is_half_as_sure_is_followed_but_not_confirmed(rng):
+    drive = Drive((Mover(1, (0, 14), (0, 5)),))
+    found = tracked(drive, rng, 8, 8)
+    assert [o.state for obstacles in found for o in obstacles] == [ObstacleState.TENTATIVE] * 8
+    assert len({o.id for obstacles in found for o in obstacles}) == 1
+
+
+def test_what_was_followed_before_is_confirmed_as_soon_as_it_is_called_moving(rng):
+    drive = Drive((Mover(1, (0, 14), (0, 5)),))
+    followed, new = tracked(drive, rng, 2, 3), tracked(drive, rng, 0, 1)
+    assert [o.state for o in followed[2]] == [ObstacleState.CONFIRMED]
+    assert followed[2][0].id == followed[0][0].id
+    assert [o.state for o in new[0]] == [ObstacleState.TENTATIVE]
+
+
+def test_a_wrong_beginning_does_not_delay_what_is_called_moving(rng):
+    drive = Drive((Mover(1, (0, 14), (0, 5)),))
+    late = tracked(drive, rng, 2, 4, elsewhere=True)
+    assert not usable(late[2])
+    assert len(usable(late[3])) == 1, 'as where nothing was followed before'
+
+
+def test_what_is_no_body_begins_again_until_it_is_called_moving(rng):
+    drive = Drive((Mover(1, (0, 14), (0, 5)),))
+    tracker, alone = ObstacleTracker(SETTINGS), ObstacleTracker(SETTINGS)
+    for i in range(3):
+        extraction, scene = drive.extraction(i * DT, (i + 1) * DT, rng), drive.scene(
+            i * DT, (i + 1) * DT)
+        if i == 0:  # its left half, which moves otherwise
+            first = unsure(extraction)
+            first = replace(first, plane_id=np.where(
+                first.x_cur[:, 0] < 316, first.plane_id, -1).astype(np.int32), planes=tuple(
+                    replace(plane, t_d=plane.t_d + [0.1, 0, 0]) for plane in first.planes))
+            tracker.step(first, scene)
+            continue
+        (one,), _ = tracker.step(extraction, scene)
+        (other,), _ = alone.step(extraction, scene)
+        assert one.state is other.state
+        np.testing.assert_allclose(one.velocity, other.velocity)
+        assert one.age == pytest.approx(other.age + DT)
+    assert one.state is ObstacleState.CONFIRMED
+
+
+def test_what_is_half_as_sure_beside_an_obstacle_is_none(rng):
+    drive = Drive((Mover(1, (0, 14), (0, 5)),))
+    tracker = ObstacleTracker(SETTINGS)
+    for i in range(5):
+        extraction = drive.extraction(i * DT, (i + 1) * DT, rng)
+        if i == 4:
+            part = unsure(extraction)
+            own = np.flatnonzero(extraction.plane_id > 0)[::2]
+            plane_id = extraction.plane_id.copy()
+            plane_id[own] = part.plane_id[own]
+            extraction = replace(extraction, planes=extraction.planes + part.planes,
+                                 plane_id=plane_id)
+        found, _ = tracker.step(extraction, drive.scene(i * DT, (i + 1) * DT))
+    assert [o.state for o in found] == [ObstacleState.CONFIRMED]
