@@ -415,6 +415,12 @@ RULES = (
          {OBSTACLES + 'redetection:found': NOTHING}),
     Rule('footprint', 'cars side by side are wider than one vehicle',
          {OBSTACLES + 'footprint:may_be_one': YES, OBSTACLES + 'footprint:stand_apart': NO}),
+    Rule('hollow edge', 'what is too wide for one vehicle is two where its lower edge is hollow',
+         {OBSTACLES + 'footprint:bodies': gives(lambda whole, view, least: [whole])}),
+    Rule('followed before', 'a track follows what may move before the labels call it so',
+         {TRACKER + '_try': gives(lambda self, unsure, free, extraction: [])}),
+    Rule('begins again', 'a start that the next detection does not fit is forgotten',
+         {OBSTACLES + 'track:Track.begin_again': NOTHING}),
     Rule('detection of several', 'a detection over several obstacles that is too wide for one is '
          'none', {TRACKER + '_of_one': gives(lambda self, found: found)}),
     Rule('units', 'obstacles follow the map where it becomes metric',

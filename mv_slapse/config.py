@@ -283,8 +283,9 @@ class SceneSettings(MountSettings):
 class ObstacleSettings(Checked):
     """Filters of moving obstacles, (14)-(16) of [MVO]."""
 
-    lifetime: float = setting(0.5, 's', 'an obstacle expires this long after its last evidence',
-                              0.0)
+    lifetime: float = setting(
+        0.5, 's', 'an obstacle expires this long after its last evidence; one that was seen for '
+        'less, after as long', 0.0)
     min_macroblocks: int = setting(4, '-', 'smallest support of a moving plane', 4)
     gate: float = setting(0.999, '-', 'share of right detections inside the gate of a track', 0.5,
                           0.999999)

@@ -135,9 +135,9 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     The extraction has motion, labels, and the ids of stationary planes; ``memory`` is what the
     last call returned, ``departure`` (N,) is as of movers.reference_depth, None: nothing is known.
     From the score ``threshold`` on, chi-square beyond its mean, a region is called moving: its
-    blocks are labelled MOVING with the plane's id. Of what is half as sure a plane UNKNOWN is told,
-    whose id is negative and of this pair alone: its blocks keep their label, and those of no
-    stationary plane have its id. Returns extraction and memory.
+    blocks are labelled MOVING with the plane's id. What is half as sure is told as an UNKNOWN
+    plane, which its blocks that are of no other one are given without another label. Returns
+    extraction and memory.
     """
     departure = np.zeros(len(extraction.x_cur)) if departure is None else departure
     pair = _pair(extraction, departure)
@@ -234,27 +234,23 @@ def _moves(alike, told, threshold, ground):
 def _grown(alike, planes, view):
     """Return the blocks of moving regions and those around that move so, not as the ground."""
     products = np.array([plane.product for plane in planes.values()]).reshape(-1, 3, 3)
-    members, first = compiled.grown(alike, alike, np.array([*planes], np.int64), products, view,
-                                    RULES)
+    members, first = compiled.grown(alike, alike, np.array([*planes], int), products, view, RULES)
     return [members[begin:end] for begin, end in pairwise((*first, None))]
 
 
 def _labelled(extraction, alike, planes, ids, told, view):
     """Write the planes {region: plane} over blocks' first labels and planes."""
     label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
-    found = []
     moving = {i: plane for i, plane in planes.items() if ids[i] >= 0}
-    members = dict(zip(moving, _grown(alike, moving, view) if moving else (), strict=True))
-    for member, i in zip(members.values(), members, strict=True):
-        label[member] = Label.MOVING
-        plane_id[member] = ids[i]
+    members = dict(zip(moving, _grown(alike, moving, view), strict=True))
+    for i, member in members.items():
+        label[member], plane_id[member] = Label.MOVING, ids[i]
     for i in planes.keys() - moving.keys():
         member = alike.members[alike.rows(i)]
         members[i] = member[plane_id[member] == -1]
         plane_id[members[i]] = ids[i]
-    for i, plane in planes.items():
-        found.append(PlaneObservation(
-            int(ids[i]), Label.MOVING if i in moving else Label.UNKNOWN, *plane, False,
-            count_macroblocks(extraction.x_cur[members[i]]),
-            float(max(told.total[i], told.gone[i]))))
+    found = [PlaneObservation(
+        int(ids[i]), Label.MOVING if i in moving else Label.UNKNOWN, *plane, False,
+        count_macroblocks(extraction.x_cur[members[i]]), float(max(told.total[i], told.gone[i])))
+        for i, plane in planes.items()]
     return replace(extraction, label=label, plane_id=plane_id, planes=(*extraction.planes, *found))

@@ -273,8 +273,10 @@ class ObstacleTracker:
                                            self._settings)
 
     def _expired(self, track, stamp):
-        longest = self._settings.lifetime if track.confirmed else TENTATIVE_LIFETIME
-        return 1e-9 * (stamp - track.last_seen) > min(longest, self._settings.lifetime)
+        """Tell whether nobody has seen a track for long; a confirmed one for as long as it was."""
+        seen = 1e-9 * (track.last_seen - track.first_seen) if track.confirmed else 0.0
+        return 1e-9 * (stamp - track.last_seen) > min(
+            max(seen, TENTATIVE_LIFETIME), self._settings.lifetime)
 
     def _obstacles(self, stamp):
         return [track.obstacle(stamp, self._view)
