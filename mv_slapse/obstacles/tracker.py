@@ -83,10 +83,8 @@ class ObstacleTracker:
         expected = {track.plane_id: track.box(view) for track in self._tracks}
         found = [body for item in detections(extraction, view, self._settings)
                  for body in footprint.bodies(item, view, self._settings.min_macroblocks)]
-        moving, unsure = ([joined(group, view) for group in association.groups(
-            [item for item in found if item.moves is moves], self._settings.gate,
-            expected if moves else {}, lambda group: self._may_be_one(group, extraction))]
-            for moves in (True, False))
+        moving = self._joined([item for item in found if item.moves], expected, extraction)
+        unsure = self._joined([item for item in found if not item.moves], {}, extraction)
         free = self._continue(self._of_one(moving), owners, extraction)
         free += self._try(unsure, free, extraction)
         self._search(extraction)
@@ -128,16 +126,22 @@ class ObstacleTracker:
         self._tracks = [track for track in self._tracks
                         if track.predict(step, view, self._settings)]
 
+    def _joined(self, found, expected, extraction):
+        """Return the detections of vehicles, of which some show several surfaces."""
+        return [joined(group, self._view) for group in association.groups(
+            found, self._settings.gate, expected,
+            lambda group: self._may_be_one(group, extraction))]
+
     def _continue(self, found, owners, extraction):
         """Update tracks by their detections; return the detections that have none."""
         pairs = association.associate(self._tracks, found, self._settings.gate)
         parts = {i: [found[j]] for i, j in pairs}
         taken, free = {j for _, j in pairs}, []
         for item in (item for j, item in enumerate(found) if j not in taken):
-            home = next((i for i in parts if self._tracks[i].contains(
-                item, self._view, self._settings.gate)
-                and owners.get(item.id, self._tracks[i]) is self._tracks[i]
-                and self._may_be_one([*parts[i], item], extraction)), None)
+            home = next((i for i in parts if self._tracks[i].evidence[-1].called
+                         and self._tracks[i].contains(item, self._view, self._settings.gate)
+                         and owners.get(item.id, self._tracks[i]) is self._tracks[i]
+                         and self._may_be_one([*parts[i], item], extraction)), None)
             (free if home is None else parts[home]).append(item)
         for i, group in parts.items():
             self._update(self._tracks[i], joined(group, self._view), extraction)
@@ -153,14 +157,13 @@ class ObstacleTracker:
 
     def _try(self, unsure, free, extraction):
         """Follow what may move before the labels call it so; return what no track is near."""
-        tracks_ = [track for track in self._tracks
+        waiting = [track for track in self._tracks
                    if not track.confirmed and track.last_seen != extraction.stamp]
-        pairs = association.associate(tracks_, unsure, self._settings.gate)
-        for i, j in pairs:
-            self._update(tracks_[i], unsure[j], extraction)
+        for i, j in association.associate(waiting, unsure, self._settings.gate):
+            self._update(waiting[i], unsure[j], extraction)
         places = [track.box(self._view) for track in self._tracks] + [item.box for item in free]
-        return [item for j, item in enumerate(unsure) if j not in {j for _, j in pairs}
-                and not any(association.box_overlap(place, item.box) for place in places)]
+        return [item for item in unsure
+                if not any(association.box_overlap(place, item.box) for place in places)]
 
     def _own(self, owner):
         """Let a plane be of the track that it was seen of last, and of no other one."""
