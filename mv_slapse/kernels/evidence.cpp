@@ -100,9 +100,6 @@ std::vector<float> leaning(const Picture& p) {
         use[k] = has ? around[k] : Vec2{};
         if (has && there++ == 0) only = around[k];
       }
-      const auto middle = [](float a, float b, float c) {
-        return std::max(std::min(a, b), std::min(std::max(a, b), c));
-      };
       const Vec2 median{middle(use[0].x, use[1].x, use[2].x), middle(use[0].y, use[1].y, use[2].y)};
       const Vec2 gap = at(p.displacement, i) - (there == 1 ? only : median);
       const float largest = std::max(std::abs(gap.x), std::abs(gap.y));

@@ -137,10 +137,8 @@ double hollow(const py::object& x, const py::object& block, double cell, double 
       edge[k] = std::max(edge[k], region.x(i, 1) + region.block(i, 1) / 2);
   }
   // One column that stands out, or lacks its lowest block, says nothing.
-  for (int k = 0; k < n; ++k) {
-    const double a = edge[std::max(k - 1, 0)], b = edge[k], c = edge[std::min(k + 1, n - 1)];
-    lower[k] = std::max(std::min(a, b), std::min(std::max(a, b), c));
-  }
+  for (int k = 0; k < n; ++k)
+    lower[k] = middle(edge[std::max(k - 1, 0)], edge[k], edge[std::min(k + 1, n - 1)]);
   const auto spanned = bulging(lower);
   int deepest = -1, last = -1;
   double most = least;

@@ -62,6 +62,12 @@ inline Mat3 rotation_exp(const Vec3& w) {
   return R;
 }
 
+// The one of three values between the others.
+template <typename T>
+T middle(T a, T b, T c) {
+  return std::max(std::min(a, b), std::min(std::max(a, b), c));
+}
+
 // What lies at a place of n values, at least one, once they are sorted; as after std::nth_element
 // those before it are no greater. Values move without branches, which a processor mispredicts.
 template <typename T>
@@ -78,7 +84,7 @@ T nth_smallest(T* from, std::size_t n, std::size_t at) {
   };
   while (n > 1) {
     const T a = from[0], b = from[n / 2], c = from[n - 1];
-    const T pivot = std::max(std::min(a, b), std::min(std::max(a, b), c));
+    const T pivot = middle(a, b, c);
     const auto less = move_ahead([pivot](T value) { return value < pivot; });
     if (at < less) {
       n = less;

@@ -55,7 +55,9 @@ class Rules(NamedTuple):
 
 
 RULES = Rules()
-UNSURE = -2  # first id of a pair's regions that are not called moving; -1: no plane
+# First id of a pair's regions that are not called moving; they fall from there. Nearer to zero are
+# -1, no plane, and the complements of planes' ids, their parts (obstacles.footprint).
+UNSURE = -2**30
 
 
 class KnownGround(NamedTuple):

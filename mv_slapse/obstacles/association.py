@@ -96,7 +96,7 @@ def _cost(track, detection, gate):
     if shared < COST.least_overlap:
         return COST.forbidden
     distance, dof = squared_distance(track.mu, track.P, detection)
-    same_id = detection.moves and track.plane_id == detection.id
+    same_id = detection.called and track.plane_id == detection.id
     rescue = COST.rescue_same_id if same_id else COST.rescue
     if distance > ekf.chi2_bound(gate, dof) * (rescue if shared > MOST else 1.0):
         return COST.forbidden

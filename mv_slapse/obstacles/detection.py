@@ -54,7 +54,7 @@ class Detection:
     score: float = 0.0  # how much rather its region moves than not, as of PlaneObservation
     # the rate is evidence; else only the place is, and an obstacle with no other coasts
     has_rate: bool = True
-    moves: bool = True  # the labels call it moving; else only half as sure
+    called: bool = True  # moving by the labels; else they are half as sure
 
     @cached_property
     def box(self) -> np.ndarray:
@@ -160,7 +160,7 @@ def _detection(plane, extraction, view, unit, settings):
     z, R, edge = found
     return Detection(plane.id, z, R, plane.scale_prior is ScalePrior.GROUND_CONTACT, x, block,
                      plane.scale_prior, Edge(*edge.tolist()), plane.score,
-                     moves=plane.label is Label.MOVING)
+                     called=plane.label is Label.MOVING)
 
 
 def bearing_covariance(box, block, view):

@@ -56,18 +56,18 @@ def confirms(evidence: Sequence[Evidence], is_metric: bool, settings: ObstacleSe
              alone: bool = True) -> bool:
     """Return whether a track's evidence makes it an obstacle that a planner may brake for.
 
-    Detections of one body that moves, in enough pairs over enough time. A region's score tells
-    once: that it moves, where the velocity after all detections does not differ from zero yet, as
-    of a leader whose speed hangs on one row of blocks; else that it lasts, as a body's does, where
-    the track is ``alone``: no other obstacle's outline meets its own.
+    Detections of one body that moves, in enough pairs over enough time; the labels must call the
+    newest moving. A region's score tells once: that it moves, where the velocity after all
+    detections does not differ from zero yet, as of a leader whose speed hangs on one row of
+    blocks; else that it lasts, as a body's does, where the track is ``alone``: no other
+    obstacle's outline meets its own.
     """
     recent = within(evidence, settings.confirm_window)
-    if len(recent) < settings.confirm_pairs:
+    if len(recent) < settings.confirm_pairs or not recent[-1].called:
         return False
     newest, slowest = recent[-1], settings.min_speed if is_metric else 0.0
     bound = ekf.chi2_bound(settings.moving_confidence, 3)
     moves, lasts = newest.statistic + newest.score > bound, newest.statistic > bound and alone
-    moves &= newest.called
     lasted = 1e-9 * (newest.stamp - recent[0].start)
     first_only = len(evidence) == 1  # which only the settings can let suffice
     # A vehicle whose outline jumps, as where another one hides a part of it, moves all the same.

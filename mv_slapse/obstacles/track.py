@@ -200,7 +200,7 @@ class Track:
         speed = norm(self.motion(view).velocity)
         self.evidence.append(Evidence(extraction.previous_stamp, extraction.stamp, statistic,
                                       nis, dof, speed, overlap, detection.score,
-                                      detection.moves))
+                                      detection.called))
         self.evidence = within(self.evidence, KEPT_EVIDENCE)
 
     def height(self, view: View) -> float:

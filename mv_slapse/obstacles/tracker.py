@@ -83,8 +83,8 @@ class ObstacleTracker:
         expected = {track.plane_id: track.box(view) for track in self._tracks}
         found = [body for item in detections(extraction, view, self._settings)
                  for body in footprint.bodies(item, view, self._settings.min_macroblocks)]
-        moving = self._joined([item for item in found if item.moves], expected, extraction)
-        unsure = self._joined([item for item in found if not item.moves], {}, extraction)
+        moving = self._joined([item for item in found if item.called], expected, extraction)
+        unsure = self._joined([item for item in found if not item.called], {}, extraction)
         free = self._continue(self._of_one(moving), owners, extraction)
         free += self._try(unsure, free, extraction)
         self._search(extraction)

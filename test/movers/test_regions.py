@@ -347,7 +347,8 @@ def test_labels_planes_and_ids_agree(rng):
     for found, _ in run(street_of('slower', 'faster'), rng, last=42):
         moving = {plane.id for plane in found.planes if plane.label is Label.MOVING}
         assert set(found.plane_id[found.label == Label.MOVING]) == moving
-        assert all(plane.n_macroblocks >= 3 for plane in found.planes)
+        assert all(plane.label in (Label.MOVING, Label.UNKNOWN) and plane.n_macroblocks >= 3
+                   for plane in found.planes)
 
 
 def test_what_is_half_as_sure_is_told_before_it_is_called_moving(rng):

@@ -101,12 +101,12 @@ def test_a_position_is_as_sure_as_the_outline_tells_not_the_newest_blocks(rng):
     np.testing.assert_array_equal(track.obstacle(extraction.stamp, view).covariance, whole)
 
 
-def unsure(extraction, stops=False):
-    """Return an extraction whose movers are only half as sure, or another part of the picture."""
+def unsure(extraction, elsewhere=False):
+    """Return an extraction whose movers are only half as sure, or lie 48 px lower then."""
     planes = tuple(replace(plane, id=-1 - plane.id, label=Label.UNKNOWN, score=8.0)
                    for plane in extraction.planes)
     own = np.where(extraction.plane_id > 0, -1 - extraction.plane_id, -1).astype(np.int32)
-    x = extraction.x_cur + np.float32([0, 48 if stops else 0])
+    x = extraction.x_cur + np.float32([0, 48 if elsewhere else 0])
     return replace(extraction, planes=planes, plane_id=own, x_cur=x,
                    label=np.zeros_like(extraction.label))
 
