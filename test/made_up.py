@@ -38,12 +38,11 @@ def observation(rng, label: Label, id_: int = 7) -> r.PlaneObservation:
 def extraction(rng, n: int = 30, stamp: int = 400_000_000) -> r.Extraction:
     motion = r.CameraMotion(r.MotionStatus.MOVING, rotation(rng), rng.normal(size=3),
                             covariance(rng, 6), False)
-    planes = (observation(rng, Label.STATIONARY), observation(rng, Label.MOVING, 9),
-              observation(rng, Label.UNKNOWN, -2))
+    planes = (observation(rng, Label.STATIONARY), observation(rng, Label.MOVING, 9))
     K = np.array([[500.0, 0, 160], [0, 500, 120], [0, 0, 1]])
     return r.Extraction(stamp, stamp - 100_000_000, 320, 240, r.SegmentKind.IP, K, motion, planes,
                         'why', label=rng.integers(-1, 3, n).astype(np.int8),
-                        plane_id=rng.choice([-2, -1, 7, 9], n).astype(np.int32),
+                        plane_id=rng.choice([-1, 7, 9], n).astype(np.int32),
                         macroblock_label=rng.integers(-1, 3, 20 * 15).astype(np.int8),
                         macroblock_plane=rng.choice([-1, 7, 9], 20 * 15).astype(np.int32),
                         **points(rng, n))

@@ -1,5 +1,5 @@
 from dataclasses import fields as attributes
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from types import SimpleNamespace
 
 import made_up
@@ -52,6 +52,14 @@ def test_an_empty_pair_comes_back_empty(rng, frames):
     record = made_up.correspondences(rng, n=0)
     msg = as_message(fields.correspondences_to_fields(record, frames))
     assert_same(fields.correspondences_from_message(msg), record)
+
+
+def test_what_may_move_comes_back_as_it_was(rng, frames):
+    record = made_up.extraction(rng)
+    record = replace(record, planes=(*record.planes, made_up.observation(rng, Label.UNKNOWN, -2)),
+                     plane_id=rng.choice([-2, -1, 7, 9], len(record.x_cur)).astype(np.int32))
+    msg = as_message(fields.extraction_to_fields(record, frames))
+    assert_same(fields.extraction_from_message(msg), record)
 
 
 def test_an_extraction_comes_back_as_it_was(rng, frames):

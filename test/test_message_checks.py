@@ -71,7 +71,7 @@ OF_EXTRACTIONS = [
     (lambda msg: put('covariance', np.zeros(36))(msg.planes[0]),
      r'length of planes\[\].covariance = 36: must be 9'),
     (lambda msg: put('score', NAN)(msg.planes[1]), r'planes\[\].score = nan'),
-    (lambda msg: put('planes', msg.planes * 6000)(msg), 'length of planes = 18000')]
+    (lambda msg: put('planes', msg.planes * 6000)(msg), 'length of planes = 12000')]
 
 
 @pytest.mark.parametrize(('spoil', 'said'), [*PAIR, *OF_CORRESPONDENCES])
