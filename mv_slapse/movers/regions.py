@@ -138,7 +138,7 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     last call returned, ``departure`` (N,) is as of movers.reference_depth, None: nothing is known.
     From the score ``threshold`` on, chi-square beyond its mean, a region is called moving: its
     blocks are labelled MOVING with the plane's id. What is half as sure is told as an UNKNOWN
-    plane, which its blocks that are of no other one are given without another label. Returns
+    plane, whose id its blocks are given that are of no other one, without another label. Returns
     extraction and memory.
     """
     departure = np.zeros(len(extraction.x_cur)) if departure is None else departure
@@ -241,18 +241,20 @@ def _grown(alike, planes, view):
 
 
 def _labelled(extraction, alike, planes, ids, told, view):
-    """Write the planes {region: plane} over blocks' first labels and planes."""
-    label, plane_id = extraction.label.copy(), extraction.plane_id.copy()
-    moving = {i: plane for i, plane in planes.items() if ids[i] >= 0}
-    members = dict(zip(moving, _grown(alike, moving, view), strict=True))
-    for i, member in members.items():
-        label[member], plane_id[member] = Label.MOVING, ids[i]
-    for i in planes.keys() - moving.keys():
-        member = alike.members[alike.rows(i)]
-        members[i] = member[plane_id[member] == -1]
-        plane_id[members[i]] = ids[i]
+    """Write the planes {region: plane} over blocks' first labels and planes.
+
+    What is called moving takes its blocks from all, what may move those of no plane.
+    """
+    label, plane_id, members = extraction.label.copy(), extraction.plane_id.copy(), {}
+    for called in (True, False):
+        some = {i: plane for i, plane in planes.items() if (ids[i] >= 0) == called}
+        for i, member in zip(some, _grown(alike, some, view), strict=True):
+            members[i] = member if called else member[plane_id[member] == -1]
+            plane_id[members[i]] = ids[i]
+            if called:
+                label[member] = Label.MOVING
     found = [PlaneObservation(
-        int(ids[i]), Label.MOVING if i in moving else Label.UNKNOWN, *plane, False,
+        int(ids[i]), Label.MOVING if ids[i] >= 0 else Label.UNKNOWN, *plane, False,
         count_macroblocks(extraction.x_cur[members[i]]), float(max(told.total[i], told.gone[i])))
-        for i, plane in planes.items()]
+        for i, plane in planes.items() if len(members[i])]
     return replace(extraction, label=label, plane_id=plane_id, planes=(*extraction.planes, *found))
