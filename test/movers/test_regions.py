@@ -369,6 +369,21 @@ def test_what_is_half_as_sure_is_told_before_it_is_called_moving(rng):
     assert told[2][1] > 0
 
 
+def test_what_may_move_takes_in_what_it_encloses():
+    memory = Memory()
+    for stamp in (1, 2):
+        pair, car, _, ground = behind_a_car_of_the_same_speed(stamp)
+        wrong = car & (np.abs(pair.x_cur - (312, 240)) < 12).all(axis=1)
+        pair = replace(pair, label=np.where(wrong, Label.UNKNOWN, pair.label),
+                       x_prev=pair.x_prev + np.float32(9) * wrong[:, None])
+        found, memory = with_moving_planes(pair, memory, THRESHOLD, KnownGround(ground))
+    plane, = found.planes
+    assert plane.label is Label.UNKNOWN
+    assert np.count_nonzero(wrong) > 0
+    assert np.all(found.plane_id[wrong] == plane.id)
+    assert np.all(found.label[wrong] == Label.UNKNOWN)
+
+
 def test_a_gap_forgets_and_no_blocks_are_no_movers(rng):
     street = street_of('faster')
     extraction, _, plane = extraction_of(street, 0, STEP, rng)
