@@ -138,8 +138,8 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     last call returned, ``departure`` (N,) is as of movers.reference_depth, None: nothing is known.
     From the score ``threshold`` on, chi-square beyond its mean, a region is called moving: its
     blocks are labelled MOVING with the plane's id. What is half as sure is told as an UNKNOWN
-    plane, whose id its blocks are given that are of no other one, without another label. Returns
-    extraction and memory.
+    plane: its blocks get the plane's id where they are of no other one, and keep their labels.
+    Both take in the blocks around that move as they do. Returns extraction and memory.
     """
     departure = np.zeros(len(extraction.x_cur)) if departure is None else departure
     pair = _pair(extraction, departure)
@@ -248,7 +248,7 @@ def _labelled(extraction, alike, planes, ids, told, view):
     label, plane_id, members = extraction.label.copy(), extraction.plane_id.copy(), {}
     for called in (True, False):
         some = {i: plane for i, plane in planes.items() if (ids[i] >= 0) == called}
-        for i, member in zip(some, _grown(alike, some, view), strict=True):
+        for i, member in zip(some, _grown(alike, some, view) if some else (), strict=True):
             members[i] = member if called else member[plane_id[member] == -1]
             plane_id[members[i]] = ids[i]
             if called:
