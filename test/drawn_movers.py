@@ -162,3 +162,26 @@ def nanoseconds(time):
 def usable(obstacles):
     """Return the obstacles that a planner may use."""
     return [o for o in obstacles if o.state is not ObstacleState.TENTATIVE]
+
+
+def behind_a_car_of_the_same_speed(stamp, way=1):
+    """Return a pair of a road, a car ahead at rest in the picture, and far trees above both.
+
+    The camera drives ahead, or back where ``way`` is -1.
+    """
+    K, t = np.array([[700.0, 0, 320], [0, 700, 180], [0, 0, 1]]), -way * np.eye(3)[2]
+    ground = np.array([0, -1 / 1.65, 0])
+    x = np.stack(np.meshgrid(np.arange(7.5, 640, 16), np.arange(7.5, 360, 16)), -1).reshape(-1, 2)
+    car = (np.abs(x[:, 0] - 320) < 60) & (x[:, 1] > 180) & (x[:, 1] < 290)
+    road, trees = ~car & (x[:, 1] > 190), ~car & (x[:, 1] < 180) & (x[:, 1] > 60)
+    rays = np.c_[(x - (320, 180)) / 700, np.ones(len(x))]
+    X = rays / np.maximum(-rays @ ground, 1e-3)[:, None]
+    x_prev = np.where(road[:, None], (X - t)[:, :2] / (X - t)[:, 2:] * 700 + (320, 180), x)
+    kept = car | road | trees
+    n = kept.sum()
+    return Extraction(
+        stamp, stamp - 1, 640, 360, SegmentKind.PP, K,
+        CameraMotion(MotionStatus.MOVING, np.eye(3), t), (), '', x[kept].astype(np.float32),
+        x_prev[kept].astype(np.float32), np.full(n, 0.3, np.float32),
+        np.full((n, 2), 16, np.uint8), np.where(trees[kept], 2, 0).astype(np.int8),
+        np.full(n, -1, np.int32)), car[kept], trees[kept], ground

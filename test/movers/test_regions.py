@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from drawn_movers import behind_a_car_of_the_same_speed
 from mv_slapse.config import ExtractionSettings
 from mv_slapse.extraction.extractor import PlaneExtractor
 from mv_slapse.geometry.blocks import count_macroblocks
@@ -13,7 +14,6 @@ from mv_slapse.records import (
     Label,
     MotionStatus,
     ScalePrior,
-    SegmentKind,
 )
 from mv_slapse.simulation.drawn import draw
 from mv_slapse.simulation.street import Street, StreetSettings
@@ -91,29 +91,6 @@ def test_an_empty_street_has_few_moving_planes(rng):
     street = street_of(parked=2)
     count = [len(found.planes) for found, _ in run(street, rng, last=54)]
     assert np.mean(count) < 0.3
-
-
-def behind_a_car_of_the_same_speed(stamp, way=1):
-    """Return a pair of a road, a car ahead at rest in the picture, and far trees above both.
-
-    The camera drives ahead, or back where ``way`` is -1.
-    """
-    K, t = np.array([[700.0, 0, 320], [0, 700, 180], [0, 0, 1]]), -way * np.eye(3)[2]
-    ground = np.array([0, -1 / 1.65, 0])
-    x = np.stack(np.meshgrid(np.arange(7.5, 640, 16), np.arange(7.5, 360, 16)), -1).reshape(-1, 2)
-    car = (np.abs(x[:, 0] - 320) < 60) & (x[:, 1] > 180) & (x[:, 1] < 290)
-    road, trees = ~car & (x[:, 1] > 190), ~car & (x[:, 1] < 180) & (x[:, 1] > 60)
-    rays = np.c_[(x - (320, 180)) / 700, np.ones(len(x))]
-    X = rays / np.maximum(-rays @ ground, 1e-3)[:, None]
-    x_prev = np.where(road[:, None], (X - t)[:, :2] / (X - t)[:, 2:] * 700 + (320, 180), x)
-    kept = car | road | trees
-    n = kept.sum()
-    return Extraction(
-        stamp, stamp - 1, 640, 360, SegmentKind.PP, K,
-        CameraMotion(MotionStatus.MOVING, np.eye(3), t), (), '', x[kept].astype(np.float32),
-        x_prev[kept].astype(np.float32), np.full(n, 0.3, np.float32),
-        np.full((n, 2), 16, np.uint8), np.where(trees[kept], 2, 0).astype(np.int8),
-        np.full(n, -1, np.int32)), car[kept], trees[kept], ground
 
 
 def test_what_is_far_behind_a_car_ahead_is_no_part_of_it():
