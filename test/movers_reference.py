@@ -343,8 +343,13 @@ def ground_below(i, ratio, o, seen, c):
     body = np.exp(-0.5 * ((nearest - near) / sigma)**2)
     covered = np.exp(-below[at] / c.half_covered) if ratio > 1 else 0.0
     road = np.exp(-0.5 * ((rho - under) / sigma)**2)
-    evidence = 2 / c.dependence * np.sum(np.log(road + covered * body + c.outlier)
-                                         - np.log(body + c.outlier))
+    evidence = np.sum(np.log(road + covered * body + c.outlier) - np.log(body + c.outlier))
+    if ratio < 1 and np.any(at):
+        land = np.clip(np.median(rho / under), ratio, 1) * under
+        lower = np.exp(-0.5 * ((rho - land) / sigma)**2)
+        evidence -= max(np.sum(np.log(lower + c.outlier) - np.log(road + c.outlier))
+                        + np.log(c.outlier), 0)
+    evidence *= 2 / c.dependence
     width = o.high[i, 0] - o.low[i, 0] + c.macroblock
     shown = np.sum(road > body) * c.macroblock**2 / (width * reach)
     return evidence * (min(shown / c.shown, 1) if evidence > 0 else 1)

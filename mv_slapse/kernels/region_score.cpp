@@ -624,18 +624,21 @@ class Judge {
   // How much rather the ground is seen where a region would hide it, as chi-square. What stands
   // still and looks `ratio` times nearer than the ground at its foot reaches down to where the
   // ground is as near. What is seen there shows the ground's depth or the region's; what is nearer
-  // than both is no ground. A block that a body in the air covers in part shows the body.
+  // than both is no ground. A block that a body in the air covers in part shows the body. What looks
+  // farther than the road may stand on land that is seen to lie lower.
   double ground_below(py::ssize_t r, double ratio) const {
     const double drop = o.drop[r];
     if (!std::isfinite(drop)) return 0;
     const double reach =
         std::max((ratio > 1 ? body_end(ratio * drop) : ratio * drop) - drop, c.least_reach);
     double evidence = 0, roads = 0;
+    std::vector<py::ssize_t> place;
     for (py::ssize_t i = 0; i < seen.x.size(); ++i) {
       const double below = seen.x(i, 1) - o.foot(r, 1), under = seen.under[i];
       if (!(std::abs(seen.x(i, 0) - o.foot(r, 0)) < 0.5 * width(r)) || !(below > 0) ||
           !(below < reach))
         continue;
+      place.push_back(i);
       const double near = ratio * (ratio > 1 ? o.under[r] : under);
       const double sigma = std::hypot(seen.sigma[i], c.ground_sigma * std::max(under, near));
       const double nearest =
@@ -646,6 +649,7 @@ class Judge {
       evidence += std::log(road + covered * body + c.outlier) - std::log(body + c.outlier);
       roads += road > body;
     }
+    if (ratio < 1) evidence -= sunk(place, ratio);
     evidence *= 2 / c.dependence;
     // The road must show itself on some of the place.
     const double shown = roads * square(c.macroblock) / (width(r) * reach);
@@ -653,6 +657,22 @@ class Judge {
   }
 
  private:
+  // How much rather blocks show land lower than the plane of the road, log-likelihood: it looks
+  // farther in one proportion, at least `ratio`. It is as rare as a wrong vector.
+  double sunk(const std::vector<py::ssize_t>& place, double ratio) const {
+    if (place.empty()) return 0;
+    std::vector<double> ratios;
+    for (const auto i : place) ratios.push_back(seen.rho[i] / seen.under[i]);
+    const double share = std::min(std::max(median(ratios), ratio), 1.0);
+    double land = std::log(c.outlier);
+    for (const auto i : place) {
+      const double under = seen.under[i], sigma = std::hypot(seen.sigma[i], c.ground_sigma * under);
+      land += std::log(likely(i, share * under, sigma) + c.outlier) -
+              std::log(likely(i, under, sigma) + c.outlier);
+    }
+    return std::max(land, 0.0);
+  }
+
   static double normal(double x) { return std::exp(-0.5 * square(x)); }
 
   double likely(py::ssize_t i, double rho, double sigma) const {

@@ -23,7 +23,7 @@ import numpy as np
 
 HEIGHT_WOBBLE = 0.02  # change of log(height) between key frames: suspension and slope
 FORGOTTEN = 0.3  # spread of log(depth) beyond which the ground is looked for afresh
-GUESSED = 0.5  # the same of a ground that none shows, for movers: it is within a factor of 2.7
+GUESSED = 1.0  # the same of a ground that none shows, for movers: within a factor of 7.4
 FARTHEST = 2.0  # standard deviations by which that ground may lie farther, or nearer
 MISSED = 2  # pairs without it after which a ground that many pairs contradict is believed no more
 IN_VIEW = 0.9  # cosine of the course to the axis, 26 degrees; beyond, few cameras see it

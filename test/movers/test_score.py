@@ -68,10 +68,11 @@ def score(depth, motion=(0.0, 0.0, 0.0), low=(-1.0, 0.0), high=(1.0, HEIGHT), gr
     """Return the score of an upright face at a depth that moves by ``motion`` in the pair.
 
     Blocks below it show the ``ground``, the ``face``'s own depth, what is ``nearer``, ``half`` of
-    it (the face in the first row), ``terrain`` that goes on as the face's foot lies, or
-    ``nothing``; those ``above`` it the 'ground' or the 'face'. Of all vectors a share is
-    ``copied``; those of the face are of some ``kinds``, or all differ; the camera ``turned`` them
-    [px]. What is ``land`` lies at that share of the ground's inverse depth.
+    it (the face in the first row), ``terrain`` that goes on as the face's foot lies, ``sunk`` land
+    that lies lower than the ground by a third, or ``nothing``; those ``above`` it the 'ground' or
+    the 'face'. Of all vectors a share is ``copied``; those of the face are of some ``kinds``, or
+    all differ; the camera ``turned`` them [px]. What is ``land`` lies at that share of the
+    ground's inverse depth.
     """
     corner = [to_pixels(K, np.array([[*c, depth]]))[0] for c in (low, high)]
     # A block is the face's from a tenth of its height on.
@@ -111,7 +112,7 @@ def seen_below(outline, rho, below, ground):
     half = np.where(x[:, 1] < outline.foot[0, 1] + 16, rho, under)
     shown = {'ground': under, 'face': np.full(len(x), rho), 'nothing': under,
              'nearer': np.full(len(x), 1.5 * rho), 'half': half,
-             'terrain': under * rho / max(outline.under[0], 1e-9)}[below]
+             'terrain': under * rho / max(outline.under[0], 1e-9), 'sunk': under / 1.33}[below]
     kept = slice(None, 0 if below == 'nothing' else None)
     return seen_as(x[kept], shown[kept], under[kept])
 
@@ -174,6 +175,12 @@ def test_land_below_the_plane_of_the_road_does_not_move():
     lower = {'high': (-8.0, 1.5 * HEIGHT), 'below': 'terrain'}
     assert score(18.0, low=(-12.0, 0.5 * HEIGHT), **lower) < 2
     assert score(18.0, low=(-12.0, 0.5 * HEIGHT), **lower | {'below': 'ground'}) < 0
+
+
+def test_what_drives_ahead_on_lower_land_may_stand_there():
+    hidden = {'depth': 12.0, 'motion': (0, 0, 1.0)}
+    assert score(**hidden, below='sunk') <= 0 < 2 < score(**hidden, below='nothing')
+    assert score(**hidden) > 9
 
 
 def test_land_that_the_road_would_hide_does_not_move_though_road_is_seen_before_it():

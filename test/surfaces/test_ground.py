@@ -200,7 +200,7 @@ def test_movers_are_told_by_the_farthest_ground_that_many_pairs_allow():
     spread = np.hypot(0.3, 0.03)
     np.testing.assert_allclose(np.log(-floor[1]), -np.log(2) - 2 * spread, atol=0.01)
     assert np.log(nearer) == pytest.approx(4 * spread, abs=0.01)
-    assert ground.for_movers(None, FRESH, believed(np.log(2.0), 0.6)) == (None, 1.0)
+    assert ground.for_movers(None, FRESH, believed(np.log(2.0), 1.1)) == (None, 1.0)
 
 
 def test_a_variance_that_rounding_made_negative_is_none():
