@@ -585,9 +585,7 @@ class Judge {
       if (!(std::abs(seen.x(i, 0) - o.foot(r, 0)) < 0.5 * width(r)) || !(under > 0) ||
           !(seen.x(i, 1) < o.low(r, 1) - c.macroblock / 2) || !(seen.x(i, 1) > highest))
         continue;
-      const double sigma = std::hypot(seen.sigma[i], c.ground_sigma * std::max(under, near));
-      sum += std::log(likely(i, near, sigma) + c.outlier) -
-             std::log(likely(i, under, sigma) + c.outlier);
+      sum += rather(i, near);
     }
     return 2 * sum / c.dependence;
   }
@@ -660,17 +658,20 @@ class Judge {
   // How much rather blocks show land lower than the plane of the road, log-likelihood: it looks
   // farther in one proportion, at least `ratio`. It is as rare as a wrong vector.
   double sunk(const std::vector<py::ssize_t>& place, double ratio) const {
-    if (place.empty()) return 0;
     std::vector<double> ratios;
     for (const auto i : place) ratios.push_back(seen.rho[i] / seen.under[i]);
     const double share = std::min(std::max(median(ratios), ratio), 1.0);
     double land = std::log(c.outlier);
-    for (const auto i : place) {
-      const double under = seen.under[i], sigma = std::hypot(seen.sigma[i], c.ground_sigma * under);
-      land += std::log(likely(i, share * under, sigma) + c.outlier) -
-              std::log(likely(i, under, sigma) + c.outlier);
-    }
+    for (const auto i : place) land += rather(i, share * seen.under[i]);
     return std::max(land, 0.0);
+  }
+
+  // How much rather a block shows an inverse depth than the ground's, log-likelihood.
+  double rather(py::ssize_t i, double near) const {
+    const double under = seen.under[i];
+    const double sigma = std::hypot(seen.sigma[i], c.ground_sigma * std::max(under, near));
+    return std::log(likely(i, near, sigma) + c.outlier) -
+           std::log(likely(i, under, sigma) + c.outlier);
   }
 
   static double normal(double x) { return std::exp(-0.5 * square(x)); }

@@ -19,7 +19,7 @@ class Rules(NamedTuple):
     relief: float = 0.05  # share of their inverse depth by which bodies are no planes, nor is land
     farthest: float = 9.0  # squared error, in variances, that a block tells at most of land
     dependence: float = 2.0  # blocks that tell as much of it as one
-    lowest: float = 1.0  # [m] of what may be a vehicle or a person,
+    lowest: float = 1.0  # [m] of what may be a vehicle or a person: cars are above 1.05,
     tallest: float = 3.3
     widest: float = 8.25
     iterations: float = 3.0  # of its reweighting: more change the share by less than a per cent
