@@ -5,10 +5,12 @@ from typing import Any
 from mv_slapse import message_checks as check
 from mv_slapse.quaternion import from_matrix
 from mv_slapse.records import Correspondences, Extraction, Label, SegmentKind
+from mv_slapse.strip_matches import StripMatches
 import numpy as np
 
 Fields = dict[str, Any]
 POINTS = ('x_cur', 'y_cur', 'x_prev', 'y_prev', 'sigma', 'block_width', 'block_height')
+STRIPS = ('strip_x_cur', 'strip_y_cur', 'strip_x_earlier', 'strip_y_earlier', 'strip_sigma')
 SIGMAS = 1e-4, 1e4  # [px] of a vector
 
 
@@ -64,14 +66,37 @@ def pair_of(msg: Any) -> Fields:
 
 def points_of(msg: Any) -> Fields:
     """Return the columns that the message says to have one length."""
-    x, y = max(msg.width, 1) + check.FAR_OUT, max(msg.height, 1) + check.FAR_OUT
-    columns = {name: check.within(column(getattr(msg, name), np.float32), name, -check.FAR_OUT,
-                                  x if name[0] == 'x' else y) for name in POINTS[:4]}
-    sigma = check.within(column(msg.sigma, np.float32), 'sigma', *SIGMAS)
+    columns = _places(msg, POINTS[:4])
     block = [column(getattr(msg, name), np.uint8) for name in POINTS[5:]]
-    return {'x_cur': np.stack([columns['x_cur'], columns['y_cur']], axis=1),
-            'x_prev': np.stack([columns['x_prev'], columns['y_prev']], axis=1),
-            'sigma': sigma, 'block': np.stack(block, axis=1)}
+    return {'x_cur': columns[0], 'x_prev': columns[1], 'sigma': _sigma(msg, POINTS[4]),
+            'block': np.stack(block, axis=1)}
+
+
+def strip_columns(strips: StripMatches) -> Fields:
+    """Return what a message of a pair tells of strips."""
+    columns = (*strips.x_cur.T, *strips.x_earlier.T, strips.sigma)
+    return {'strip_stamp': stamp_to_fields(strips.stamp),
+            **{name: column(values, np.float32)
+               for name, values in zip(STRIPS, columns, strict=True)}}
+
+
+def strips_of(msg: Any) -> StripMatches:
+    """Return the same of a message."""
+    check.same_length(msg, STRIPS, check.most_blocks(msg.width, msg.height))
+    return StripMatches(check.stamp(msg.strip_stamp, 'strip_stamp'), *_places(msg, STRIPS[:4]),
+                        _sigma(msg, STRIPS[4]))
+
+
+def _places(msg: Any, names: tuple[str, ...]) -> list[np.ndarray]:
+    """Return pixels (N, 2), each of two fields."""
+    x, y = max(msg.width, 1) + check.FAR_OUT, max(msg.height, 1) + check.FAR_OUT
+    columns = [check.within(column(getattr(msg, name), np.float32), name, -check.FAR_OUT, most)
+               for name, most in zip(names, (x, y) * (len(names) // 2), strict=True)]
+    return [np.stack(pair, axis=1) for pair in zip(columns[::2], columns[1::2], strict=True)]
+
+
+def _sigma(msg: Any, name: str) -> np.ndarray:
+    return check.within(column(getattr(msg, name), np.float32), name, *SIGMAS)
 
 
 def labels(msg: Any, name: str) -> np.ndarray:

@@ -31,6 +31,8 @@ from mv_slapse.field_values import (
     read_xyz,
     stamp_from_message,
     stamp_to_fields,
+    strip_columns,
+    strips_of,
 )
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.quaternion import to_matrix
@@ -84,8 +86,7 @@ def correspondences_to_fields(record: Correspondences, frames: RosFrames) -> Fie
         'width': int(record.width), 'height': int(record.height),
         'kind': int(record.kind), 'n_b': int(record.n_b), 'reason': record.reason,
         **point_columns(record),
-        'probability': column(record.probability, np.float32),
-    }
+        'probability': column(record.probability, np.float32), **strip_columns(record.strips)}
 
 
 def correspondences_from_message(msg: Any) -> Correspondences:
@@ -95,7 +96,7 @@ def correspondences_from_message(msg: Any) -> Correspondences:
     return Correspondences(
         **pair, n_b=int(check.number(msg.n_b, 'n_b', 0, check.MAX_B_FRAMES)),
         probability=check.within(column(msg.probability, np.float32), 'probability', 0, 1),
-        **points_of(msg))
+        strips=strips_of(msg), **points_of(msg))
 
 
 def extraction_to_fields(record: Extraction, frames: RosFrames) -> Fields:

@@ -8,6 +8,7 @@ messages are float32 here as well, so that a replay and a robot compute the same
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
+from mv_slapse.strip_matches import StripMatches
 import numpy as np
 
 
@@ -95,14 +96,14 @@ class Correspondences:
     kind, n_b, reason : SegmentKind, int, str
         How the pair is joined, B frames between, and why a BROKEN one is (else empty).
     x_cur, x_prev : (N, 2) float32
-        Block centres in key frame k and their matches in the previous one [px], with the lens'
-        distortion still in.
+        Block centres in both key frames [px], with the lens' distortion still in.
     sigma : (N,) float32
         Standard deviation of each coordinate of ``x_prev``, Lemma 2 of [SLAPSE] [px].
     probability : (N,) float32
         Probability that a right vector is among the evidence, Lemma 1 of [SLAPSE].
     block : (N, 2) uint8
         Width and height of the block [px].
+    strips : StripMatches, on the way ahead, over a longer while
     """
 
     stamp: int
@@ -117,6 +118,7 @@ class Correspondences:
     sigma: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     probability: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     block: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.uint8))
+    strips: StripMatches = StripMatches()
 
     def __len__(self) -> int:
         """Return the number of correspondences."""
@@ -185,8 +187,7 @@ class PlaneObservation:
         The plane the camera rides on.
     n_macroblocks : int
         Correspondences that support it.
-    score : float
-        How much rather a mover moves than not: chi-square, all pairs.
+    score : float, how much rather a mover moves than not: chi-square, all pairs
     """
 
     id: int
@@ -208,8 +209,7 @@ class Extraction:
     Attributes
     ----------
     stamp, previous_stamp, width, height, kind : see Correspondences
-    reason : str
-        Why the motion is unknown, else empty.
+    reason : str, why the motion is unknown, else empty
     K : (3, 3) float64
         Intrinsics of the undistorted pixels below [px].
     motion : CameraMotion

@@ -2,6 +2,7 @@
 
 from mv_slapse import records as r
 from mv_slapse.records import Label
+from mv_slapse.strip_matches import StripMatches
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -24,8 +25,11 @@ def points(rng, n: int) -> dict:
 
 
 def correspondences(rng, n: int = 30, stamp: int = 400_000_000) -> r.Correspondences:
-    return r.Correspondences(stamp, stamp - 100_000_000, 320, 240, r.SegmentKind.PI, 2, 'none',
-                             probability=rng.uniform(0, 1, n).astype(np.float32), **points(rng, n))
+    strips = StripMatches(stamp - 300_000_000, *rng.uniform(0, 300, (2, n // 3, 2)).astype(
+        np.float32), rng.uniform(0.5, 1, n // 3).astype(np.float32))
+    return r.Correspondences(
+        stamp, stamp - 100_000_000, 320, 240, r.SegmentKind.PI, 2, 'none',
+        probability=rng.uniform(0, 1, n).astype(np.float32), strips=strips, **points(rng, n))
 
 
 def observation(rng, label: Label, id_: int = 7) -> r.PlaneObservation:

@@ -7,6 +7,7 @@ from mv_slapse.field_values import SIGMAS
 from mv_slapse.geometry import rotation
 from mv_slapse.records import Label
 from mv_slapse.ros_frames import RosFrames
+from mv_slapse.strip_matches import StripMatches
 import numpy as np
 
 FAR = 1e5  # [m]: farther, sums of places lose the digits that a comparison looks at
@@ -67,8 +68,11 @@ def pairs(draw):
 @st.composite
 def correspondences(draw):
     n = draw(st.integers(0, 4))
+    m, stamp = draw(st.integers(0, 3)), draw(stamps)
+    places = draw(columns(m))
     return r.Correspondences(
-        **draw(pairs()), n_b=draw(st.integers(0, check.MAX_B_FRAMES)), **draw(columns(n)),
+        **draw(pairs()), strips=StripMatches(
+            stamp, places['x_cur'], places['x_prev'], places['sigma']), n_b=draw(st.integers(0, check.MAX_B_FRAMES)), **draw(columns(n)),
         probability=draw(array(n, floats(0, 1, width=32), np.float32)))
 
 

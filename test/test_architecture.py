@@ -21,7 +21,7 @@ HOME = {**dict.fromkeys(ROS, 'nodes'), 'launch': 'launch', 'launch_ros': 'launch
 ROOMS = ('codec', 'motion', 'surfaces', 'movers', 'extraction', 'filters', 'scene', 'obstacles')
 CORE = ('kernels', 'geometry', *ROOMS, 'pipeline')
 NOT_IN_CORE = {'time', 'datetime', 'random', 'threading', 'multiprocessing', 'logging'}
-BASE = {'blas', 'changed', 'config', 'errors', 'records'}
+BASE = {'blas', 'changed', 'config', 'errors', 'records', 'strip_matches'}
 LOW = {*BASE, 'kernels', 'geometry'}
 # What each part may import of this package; a part that is not listed may import everything.
 BELOW = {
@@ -30,7 +30,8 @@ BELOW = {
     'changed': set(),
     'heap': set(),
     'quaternion': set(),
-    'records': set(),
+    'records': {'strip_matches'},
+    'strip_matches': set(),
     'config': {'errors'},
     'kernels': {'errors'},
     'geometry': {*BASE, 'kernels'},

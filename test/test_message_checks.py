@@ -54,7 +54,12 @@ PAIR = [
 ]
 OF_CORRESPONDENCES = [
     (put('n_b', 2**31), 'n_b = 2147483648: must be 0 to 1000'),
-    (spoilt('probability', 1.5), r'probability\[3\] = 1\.5: must be 0 to 1')]
+    (spoilt('probability', 1.5), r'probability\[3\] = 1\.5: must be 0 to 1'),
+    (shorter('strip_sigma'), 'length of strip_sigma = 1: must be 10, as that of strip_x_cur'),
+    (spoilt('strip_y_cur', NAN), r'strip_y_cur\[3\] = nan: must be -1e\+06 to'),
+    (spoilt('strip_x_earlier', np.inf), r'strip_x_earlier\[3\] = inf'),
+    (spoilt('strip_sigma', 0.0), r'strip_sigma\[3\] = 0\.0: must be 0\.0001 to 10000'),
+    (put('strip_stamp.sec', -1), "strip_stamp = '-1 s")]
 OF_EXTRACTIONS = [
     (put('k', np.zeros(9)), 'k = .*must be a camera matrix'),
     (spoilt('k', NAN, 0), r'k\[0\] = .*nan.*must be finite'),

@@ -19,6 +19,7 @@ from mv_slapse.movers import possibly_dynamic, regions
 from mv_slapse.movers.mask import Silhouettes
 from mv_slapse.movers.reference_depth import departure, depths_of
 from mv_slapse.records import CameraMotion, Correspondences, Extraction, Label, MotionStatus
+from mv_slapse.strip_matches import StripMatches
 from mv_slapse.surfaces import ground, joint, plane_search
 from mv_slapse.surfaces.block_map import BaselineRatio, BlockMap
 from mv_slapse.surfaces.ground import GroundPrior, GroundTrack, Mount, Ride
@@ -31,6 +32,12 @@ import numpy as np
 PREDICTED_COST = 0.5
 MANY_MOVERS = 0.9  # share of blocks left below which the motion is estimated anew without them
 STEPS = 1.0  # px by which vectors of half a pixel jump before a camera that has no baseline
+
+
+def _ideal(strips: StripMatches, camera: Camera) -> StripMatches:
+    """Return strips without the lens' distortion."""
+    return replace(strips, x_cur=undistort(camera, strips.x_cur),
+                   x_earlier=undistort(camera, strips.x_earlier))
 
 
 class Told(NamedTuple):
@@ -75,10 +82,10 @@ class PlaneExtractor:
         whole = self._blank(correspondences, camera)
         scene = status.scene(whole, correspondences.x_cur, self._settings)
         shown, rows = self._shown(status.only(whole, scene), correspondences.lone[scene],
-                                  correspondences.reason)
+                                  correspondences.reason, _ideal(correspondences.strips, camera))
         return self._silhouettes.fill(status.scattered(whole, shown, scene[rows]), correspondences)
 
-    def _shown(self, whole: Extraction, lone: np.ndarray, reason: str):
+    def _shown(self, whole: Extraction, lone: np.ndarray, reason: str, strips: StripMatches):
         """Return what a pair shows, and the rows of the whole that it made use of."""
         settings, (rows,) = self._settings, (~lone).nonzero()
         reason = reason or status.too_few(len(rows))
@@ -112,7 +119,7 @@ class PlaneExtractor:
         told = Told(known.take(rows, 0), length, ratio)
         found = self._named(Found(fit, evidence, self._planes(
             blank, Found(fit, evidence, []), told, floor, (left[rows], road[rows]))))
-        found = self._moving(blank, pair, found, floor, ratio)
+        found = self._moving(blank, pair, found, (floor, ratio), strips)
         found = self._refined(pair, found, floor)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
         shown = self._finished(blank, pair, found, noise, floor)
@@ -267,9 +274,11 @@ class PlaneExtractor:
         return memory.planes.predicted(fit.R_cur_from_prev, fit.t_cur_from_prev,
                                        *memory.log_ratio(blank, ratio))
 
-    def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio) -> Found:
+    def _moving(self, blank, pair, found: Found, expected: tuple[GroundPrior, BaselineRatio],
+                strips: StripMatches) -> Found:
         """Find what moves by itself, and take it out of the stationary planes."""
         label, plane_id = labels(found)
+        prior, ratio = expected
         id_, seen = next(((plane.id, plane.plane) for plane in found.planes if plane.is_ground),
                          (-1, None))
         floor, nearer = ground.for_movers(seen, prior, self._memory.height)
@@ -286,7 +295,7 @@ class PlaneExtractor:
         known = regions.KnownGround(floor if rides else None, level, nearer, self._camera_height,
                                     id_)
         shown, self._movers = regions.with_moving_planes(
-            shown, self._movers, self._settings.moving_score, known, gone)
+            shown, self._movers, self._settings.moving_score, known, gone, strips)
         still = shown.label != Label.MOVING.value
         planes = [replace(plane, member=plane.member & still) for plane in found.planes
                   if plane.is_ground or 2 * still[plane.member].sum() > plane.member.sum()]

@@ -339,6 +339,7 @@ py::tuple with_bodies(const py::object& field, const py::object& view, const py:
   const In<double> rho(kernel, "rho", field.attr("rho"), {n}),
       sigma(kernel, "noise", field.attr("noise"), {n}),
       under(kernel, "under", field.attr("under"), {n});
+  const auto of_pair = static_cast<std::int64_t>(number(field, "own"));
   const In<bool> below(kernel, "below", field.attr("below"), {n}),
       fits(kernel, "fits", field.attr("fits"), {n});
   const In<std::int64_t> members(kernel, "members", field.attr("members"), {ANY}),
@@ -366,9 +367,9 @@ py::tuple with_bodies(const py::object& field, const py::object& view, const py:
   Seen seen{x.data(), rho.data(), sigma.data(), under.data(), {}};
   for (py::ssize_t i = 0; i < n; ++i)
     if (fits[i] && under[i] > 0) seen.at.push_back(i);
-  for (const auto& [body, evidence] : bodies_of(seen, grid, rules)) {
+  for (auto& [body, evidence] : bodies_of(seen, grid, rules)) {
+    for (const auto& region : others) body = without(body, region);
     if (body.size() < rules.blocks) continue;
-    for (auto& region : others) region = without(region, body);
     std::vector<Blocks> left;
     Blocks beside;
     for (const auto& region : own) {
@@ -388,6 +389,12 @@ py::tuple with_bodies(const py::object& field, const py::object& view, const py:
     of_left.push_back(evidence);
     evidence_of = std::move(of_left);
   }
+  // Of strips alone, which are no blocks of the pair, nothing could be labelled.
+  for (std::size_t k = own.size(); k-- > 0;)
+    if (own[k].front() >= of_pair) {
+      own.erase(own.begin() + static_cast<std::ptrdiff_t>(k));
+      evidence_of.erase(evidence_of.begin() + static_cast<std::ptrdiff_t>(k));
+    }
   others.erase(std::remove_if(others.begin(), others.end(),
                               [&](const Blocks& region) { return region.size() < rules.blocks; }),
                others.end());

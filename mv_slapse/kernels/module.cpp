@@ -27,6 +27,7 @@ void bind_motion_prior(kernels::py::module_& module);
 void bind_silhouettes(kernels::py::module_& module);
 void bind_small(kernels::py::module_& module);
 void bind_strips(kernels::py::module_& module);
+void bind_strip_depths(kernels::py::module_& module);
 void bind_surfaces(kernels::py::module_& module);
 void bind_texture(kernels::py::module_& module);
 void bind_two_view(kernels::py::module_& module);
@@ -58,6 +59,7 @@ PYBIND11_MODULE(mv_slapse_kernels, made) {
   bind_silhouettes(module);
   bind_small(module);
   bind_strips(module);
+  bind_strip_depths(module);
   bind_surfaces(module);
   bind_texture(module);
   bind_two_view(module);

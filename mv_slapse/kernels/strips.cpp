@@ -25,6 +25,10 @@ constexpr float LEAST = 1;           // px, of a vector that has a direction
 constexpr float ERROR = 0.5f;        // px, of a vector across its direction
 constexpr float BESIDE = 4;          // px, by which vectors of what stands still pass the point
 constexpr float ROUND = 0.01f;       // smallest ratio of eigenvalues at which they meet in a point
+constexpr float TELLING = 0.6f;      // px, sigma up to which a place in an earlier picture tells much
+constexpr float STRAIGHT = 1e-4f;    // share of a texture's gradients that only rounding leaves
+constexpr float TOGETHER = 0.5f;     // px, by which strips in it err alike, and across their way
+constexpr float GROWN_MOST = 0.6f, SHRUNK_MOST = 1.3f;  // size of what was seen, as a share of now's
 
 // The point (2,) [px] that most vectors lead away from, or to: robust least squares on how far each
 // passes by it. None where they do not meet within the picture, as while the camera turns.
@@ -229,6 +233,84 @@ KERNELS_WIDE bool find(const Picture& now, const Picture& then, int left, int to
   return out.variance < SHARP * SHARP;
 }
 
+// The same of a strip that was `size` times as large when it lay around x.
+KERNELS_INLINE bool compare(const Picture& picture, Vec2 x, float size, const Patch<HEIGHT>& patch,
+                            Patch<HEIGHT>& out) {
+  int left[WIDTH];
+  float right[WIDTH];
+  const float first = x.x - 0.5f * (WIDTH - 1) * size, upper = x.y - 0.5f * (HEIGHT - 1) * size;
+  for (int i = 0; i < WIDTH; ++i) {
+    const float at = first + size * static_cast<float>(i);
+    left[i] = floor_of(at);
+    right[i] = at - static_cast<float>(left[i]);
+  }
+  const int last = floor_of(upper + size * (HEIGHT - 1));
+  if (left[0] < 0 || floor_of(upper) < 0 || left[WIDTH - 1] + 1 >= picture.width ||
+      last + 1 >= picture.height)
+    return false;
+  for (int j = 0; j < HEIGHT; ++j) {
+    const float at = upper + size * static_cast<float>(j);
+    const int top = floor_of(at);
+    const float below = at - static_cast<float>(top);
+    const std::uint8_t *row = picture.row(top), *next = picture.row(top + 1);
+    for (int i = 0; i < WIDTH; ++i) {
+      const int k = left[i];
+      const float here = static_cast<float>(row[k]) +
+                         right[i] * static_cast<float>(row[k + 1] - row[k]),
+                  lower = static_cast<float>(next[k]) +
+                          right[i] * static_cast<float>(next[k + 1] - next[k]);
+      out.value[j * WIDTH + i] = patch.value[j * WIDTH + i] - (here + below * (lower - here));
+    }
+  }
+  take_mean_off(out);
+  return true;
+}
+
+// How large something at `off` from the expansion point was, by the vector to where it was.
+float earlier_size(Vec2 off, Vec2 vector) {
+  constexpr float least = 12;  // px, nearer to that point vectors do not tell
+  const float along = off.x * vector.x + off.y * vector.y;
+  return std::clamp(1 + along / std::max(square(off), least * least), GROWN_MOST, SHRUNK_MOST);
+}
+
+// Where the strip whose first pixel lies at (left, top) was in an earlier picture, by a place that
+// may be off by a pixel or two; false where that tells little, or lies outside.
+KERNELS_WIDE bool find_earlier(const Picture& now, const Picture& then, int left, int top,
+                               Vec2 start, Vec2 point, Strip& out) {
+  const Vec2 x = Vec2{static_cast<float>(left), static_cast<float>(top)} +
+                 Vec2{0.5f * (WIDTH - 1), 0.5f * (HEIGHT - 1)};
+  const Vec2 off = x - point;
+  const float away = length(off);
+  Shown<HEIGHT> strip;
+  Patch<HEIGHT> apart;
+  if (away < NEAR || !look(now, left, top, strip)) return false;
+  // Of the way out, where the pixels alone are asked.
+  const Vec2 n = (1 / away) * off;
+  const auto variance_out = [&](float noise) {
+    const Symmetric& a = strip.texture;
+    if (!(a.xx * a.yy - a.xy * a.xy > STRAIGHT * a.xx * a.yy)) return INFINITY;
+    const Vec2 across = solve(a, n);
+    return noise * (n.x * across.x + n.y * across.y);
+  };
+  const float size = earlier_size(off, start - x);
+  for (int i = 0; i < WIDTH * HEIGHT; ++i) {
+    strip.by_x.value[i] /= size;
+    strip.by_y.value[i] /= size;
+  }
+  strip.texture = 1 / (size * size) * strip.texture;
+  if (!(variance_out(1 / SURE) < TELLING * TELLING)) return false;
+  const Symmetric known = beforehand(off, TOGETHER);
+  if (!compare(then, start, size, strip.value, apart)) return false;
+  Vec2 place = start;
+  for (int k = 0; k <= STEPS; ++k) {
+    place = step(strip, known, start, apart, place);
+    if (!compare(then, place, size, strip.value, apart)) return false;
+  }
+  const float noise = NOISE * NOISE + SHARE * product(apart, apart) / apart.PIXELS;
+  out = {x, place, variance_out(noise)};
+  return out.variance < TELLING * TELLING;
+}
+
 // The vector that two pictures tell of the macroblock around x, from one that may be off by a pixel;
 // that one where a picture ends.
 KERNELS_WIDE Vec2 refined(const Picture& now, const Picture& then, Vec2 x, Vec2 start) {
@@ -332,10 +414,72 @@ py::tuple strips(const py::object& picture, const py::object& before, const py::
                         array_of(out.probability), array_of(out.block, 2));
 }
 
+// Vectors of a pair near the expansion point.
+struct Link {
+  In<float> x_cur, x_prev;
+
+  // Where something at x was in the earlier key frame, by the nearest vector; rows differ more.
+  Vec2 before(Vec2 x, Vec2 point) const {
+    constexpr float across = 1 / 16.0f, down = 1 / 6.0f;
+    py::ssize_t nearest = 0;
+    float least = INFINITY;
+    for (py::ssize_t i = 0; i < x_cur.size(); ++i) {
+      const Vec2 apart = at(x_cur, i) - x;
+      const float distance = square(Vec2{across * apart.x, down * apart.y});
+      if (distance < least) {
+        least = distance;
+        nearest = i;
+      }
+    }
+    const Vec2 from = at(x_cur, nearest), to = at(x_prev, nearest);
+    return to + earlier_size(from - point, to - from) * (x - from);
+  }
+};
+
+// Strips up to `reach` [px] beside and below a point, and where they were in an earlier picture, as
+// far as its pixels tell: centres (M, 2), places (M, 2), and sigma [px] of these along their way.
+// The links (x_cur, x_prev) of key frame pairs lead there, the newest first.
+py::tuple earlier(const py::object& picture, const py::object& before, const py::tuple& way,
+                  const py::object& place, float reach) {
+  const char* name = "earlier";
+  const auto now = Picture::of(name, "now", picture), then = Picture::of(name, "before", before);
+  require(now && then, name, "both pictures must be there");
+  const In<double> to(name, "point", place, {2}, Check::finite);
+  const Vec2 point{static_cast<float>(to[0]), static_cast<float>(to[1])};
+  std::vector<Link> links;
+  for (py::ssize_t i = 0; i < way.size(); ++i) {
+    const auto link = way[i].cast<py::tuple>();
+    require(link.size() == 2, name, "a link has two columns");
+    In<float> x_cur(name, "x_cur", link[0], {ANY, 2}, Check::finite);
+    In<float> x_prev(name, "x_prev", link[1], {x_cur.size(), 2}, Check::finite);
+    require(x_cur.size() > 0, name, "a link has vectors");
+    links.push_back({std::move(x_cur), std::move(x_prev)});
+  }
+  std::vector<float> x_cur, x_earlier, sigma;
+  for (int row = 0; row < macroblocks(now->height); ++row)
+    for (int column = 0; column < macroblocks(now->width); ++column) {
+      const int left = MACROBLOCK * column, top = MACROBLOCK * row;
+      const Vec2 off = Vec2{left + 0.5f * (MACROBLOCK - 1), top + 0.5f * (MACROBLOCK - 1)} - point;
+      if (!(std::abs(off.x) < reach && off.y > -MACROBLOCK && off.y < reach)) continue;
+      for (int k = 0; k < STRIPS; ++k) {
+        Vec2 start{left + 0.5f * (WIDTH - 1), top + HEIGHT * k + 0.5f * (HEIGHT - 1)};
+        for (const Link& link : links) start = link.before(start, point);
+        Strip found;
+        if (!find_earlier(*now, *then, left, top + HEIGHT * k, start, point, found)) continue;
+        for (const float coordinate : {found.x.x, found.x.y}) x_cur.push_back(coordinate);
+        for (const float coordinate : {found.vector.x, found.vector.y})
+          x_earlier.push_back(coordinate);
+        sigma.push_back(std::sqrt(found.variance + TOGETHER * TOGETHER));
+      }
+    }
+  return py::make_tuple(array_of(x_cur, 2), array_of(x_earlier, 2), array_of(sigma));
+}
+
 }  // namespace
 }  // namespace kernels
 
 void bind_strips(kernels::py::module_& module) {
+  module.def("earlier", kernels::earlier);
   module.def("expansion", kernels::expansion);
   module.def("refine", kernels::refine);
   module.def("strips", kernels::strips);

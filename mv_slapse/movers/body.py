@@ -62,9 +62,9 @@ def with_bodies(regions, view: View, ground: np.ndarray, camera_height: float,
     """Return regions with the bodies that only together look farther than the ground.
 
     A body takes the blocks of regions that look as far. Of ``regions`` x, rho, noise, under,
-    below, fits, members and first are read, as of movers.regions; ``ground`` (3,) is n / d,
+    below, fits, own, members and first are read, as of movers.regions; ``ground`` (3,) is n / d,
     ``size`` the picture's [px], ``camera_height`` above the ground [m], ``before`` what the last
-    pair returned.
+    pair returned. Each region has a block of the pair's own, not strips alone.
     Returns members, first, the evidence (R,) of several pairs for each region, 0 if it is no body,
     and what the next pair is told.
     """

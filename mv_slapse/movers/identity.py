@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.movers.body import Bodies
+from mv_slapse.movers.strip_depths import Way
 from mv_slapse.records import Extraction
 import numpy as np
 
@@ -55,6 +56,7 @@ class Memory:
     seen: np.ndarray = _none(dtype=int)  # (N,) int64: when each had a vector [ns]
     next_id: int = FIRST_ID  # for a region that is new
     bodies: Bodies = Bodies()  # of the pair
+    way: Way = Way()  # to the key frame, where the ground was known
 
     def inherited(self, extraction: Extraction) -> History:
         """Return what the blocks of a pair were before, by where their vectors point.

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from mv_slapse.changed import replace
 from mv_slapse.config import USUAL_HEIGHT
 from mv_slapse.geometry.blocks import count_macroblocks, MACROBLOCK
+from mv_slapse.geometry.rotation import norm
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.movers import body
 from mv_slapse.movers.identity import FADING, ids_of, Judged, Memory
@@ -20,7 +21,9 @@ from mv_slapse.movers.moving_plane import fit_surfaces, Regions, settled, Surfac
 from mv_slapse.movers.outlines import NOT_KNOWN, outlines
 from mv_slapse.movers.outlines import RULES as OUTLINE
 from mv_slapse.movers.score import scores
+from mv_slapse.movers.strip_depths import Way, with_strips
 from mv_slapse.records import Extraction, Label, PlaneObservation
+from mv_slapse.strip_matches import NONE, StripMatches
 import numpy as np
 
 
@@ -103,11 +106,25 @@ class _Alike(NamedTuple):
     fits: np.ndarray  # (N,) bool: moves along its epipolar line
     members: np.ndarray  # (M,) int64: the blocks of one region after the other
     first: np.ndarray  # (R,) int64: where each region begins
+    own: int  # number of the pair's own blocks: what strips tell follows
 
     @property
     def size(self) -> np.ndarray:
         """Return the number of blocks of each region, (R,)."""
         return np.concatenate((self.first[1:], (len(self.members),))) - self.first
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return what there is of each block."""
+        return {name: column for name, column in self._asdict().items()
+                if name not in ('members', 'first', 'own')}
+
+    def without_strips(self) -> tuple['_Alike', np.ndarray]:
+        """Return the pair's own blocks, of which each region has one, and those (M,) of members."""
+        kept = self.members < self.own
+        size = np.add.reduceat(kept, self.first, dtype=np.int64) if len(self.first) else self.first
+        columns = {name: column[:self.own] for name, column in self.columns().items()}
+        return self._replace(**columns, members=self.members[kept],
+                             first=np.cumsum(size) - size), kept
 
     def rows(self, i: int) -> slice:
         """Return where the blocks of region i are among the members."""
@@ -130,12 +147,13 @@ class _Scores(NamedTuple):
 
 
 def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
-                       ground: KnownGround, departure: np.ndarray | None = None
-                       ) -> tuple[Extraction, Memory]:
+                       ground: KnownGround, departure: np.ndarray | None = None,
+                       strips: StripMatches = NONE) -> tuple[Extraction, Memory]:
     """Add the moving planes of a pair to what was found stationary in it.
 
     The extraction has motion, labels, and the ids of stationary planes; ``memory`` is what the
-    last call returned, ``departure`` (N,) is as of movers.reference_depth, None: nothing is known.
+    last call returned, ``departure`` (N,) is as of movers.reference_depth, None: nothing is known,
+    ``strips`` of the pair are without distortion.
     From the score ``threshold`` on, chi-square beyond its mean, a region is called moving: its
     blocks are labelled MOVING with the plane's id. What is half as sure is told as an UNKNOWN
     plane: its blocks get the plane's id where they are of no other one, and keep their labels.
@@ -146,9 +164,14 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     motion = extraction.motion
     view = View(extraction.K, np.ascontiguousarray(motion.R_cur_from_prev, float),
                 np.ascontiguousarray(motion.t_cur_from_prev, float))
-    alike, evidence, bodies = _regions(extraction, pair, view, ground, memory)
-    fit = _fitted(alike, view, ground)
-    *now, summed = _scored(alike, fit, view, ground, evidence)
+    seen, evidence, memorable = _regions(extraction, pair, view, ground, memory, strips)
+    fit = _fitted(seen, view, ground)
+    outline = outlines(seen, view.K, ground.plane,
+                       ground.level if ground.plane is None else ground.plane,
+                       ground.camera_height)
+    alike, kept = seen.without_strips()
+    fit = fit._replace(inlier=fit.inlier[kept])
+    *now, summed = _scored(alike, fit, outline, view, ground.nearer, evidence)
     # A parked car that starts keeps the id of its plane.
     told = _Scores(*compiled.histories(alike, *now, memory.inherited(extraction), pair.plane_id,
                                        ground.id, RULES))
@@ -159,12 +182,12 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     known = np.full(len(pair.x), -1)
     known[alike.members] = np.repeat(ids, size)
     ids[unsure] = UNSURE - np.arange(np.count_nonzero(unsure))
-    seen = ground.plane if ground.nearer == 1 else None
+    floor = ground.plane if ground.nearer == 1 else None
     planes = {i: plane for i in sorted((ids != -1).nonzero()[0], key=lambda i: -size[i])
-              if (plane := settled(fit, alike, i, view, seen)) is not None}
+              if (plane := settled(fit, alike, i, view, floor)) is not None}
     found = _labelled(extraction, alike, planes, ids, told, view) if planes else extraction
     judged = Judged(pair.x, pair.x_prev, pair.block, told.score, told.left, known)
-    return found, replace(memory.after(extraction, judged, next_id), bodies=bodies)
+    return found, replace(memory.after(extraction, judged, next_id), **memorable)
 
 
 def _pair(extraction, departure):
@@ -176,20 +199,26 @@ def _pair(extraction, departure):
                  extraction.label == Label.UNKNOWN.value)
 
 
-def _regions(extraction, pair, view, ground, memory):
+def _regions(extraction, pair, view, ground, memory, strips):
     """Judge the blocks singly and join those that move alike, or are one body.
 
-    Also returns what several pairs tell of each region as a body, and of bodies everywhere.
+    What strips tell counts as blocks that follow the pair's own. Also returns what several pairs
+    tell of each region as a body, and what the next pair is told of bodies and of the way.
     """
     alike = _Alike(*pair, *compiled.moving_regions(
-        pair, view, NOT_KNOWN if ground.plane is None else ground.plane, ground.nearer, RULES))
+        pair, view, NOT_KNOWN if ground.plane is None else ground.plane, ground.nearer, RULES),
+        len(pair.x))
     if ground.plane is None:
-        return alike, np.zeros(len(alike.first)), body.Bodies()
-    follows = memory.stamp == extraction.previous_stamp
+        return alike, np.zeros(len(alike.first)), {'bodies': body.Bodies(), 'way': Way()}
+    stamps = extraction.previous_stamp, extraction.stamp
+    before = memory if memory.stamp == stamps[0] else Memory()
+    way = before.way.gone_on(stamps, view, 1 / norm(ground.plane))
+    seen = with_strips(alike, strips, way, view, ground.plane) if len(strips) else alike
     members, first, evidence, bodies = body.with_bodies(
-        alike, view, ground.plane, ground.camera_height, (extraction.width, extraction.height),
-        memory.bodies if follows else body.Bodies())
-    return alike._replace(members=members, first=first), evidence, bodies
+        seen, view, ground.plane, ground.camera_height, (extraction.width, extraction.height),
+        before.bodies)
+    return (seen._replace(members=members, first=first), evidence,
+            {'bodies': bodies, 'way': way})
 
 
 def _fitted(alike, view, ground) -> Surfaces:
@@ -202,14 +231,11 @@ def _fitted(alike, view, ground) -> Surfaces:
                         view, ground.plane)
 
 
-def _scored(alike, fit, view, ground, evidence):
+def _scored(alike, fit, outline, view, nearer, evidence):
     """Return the scores (R,) of each region: by this pair, that it has left, by several pairs."""
-    outline = outlines(alike, view.K, ground.plane,
-                       ground.level if ground.plane is None else ground.plane,
-                       ground.camera_height)
     likelihood = compiled.departed(alike.departure, alike.rho, alike.under, alike.members,
                                    alike.first, RULES)
-    return scores(fit, outline, view, alike, ground.nearer, (likelihood, evidence))
+    return scores(fit, outline, view, alike, nearer, (likelihood, evidence))
 
 
 def _moves(alike, told, threshold, ground):

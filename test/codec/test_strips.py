@@ -10,6 +10,7 @@ from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.blocks import grid_centres
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.records import Correspondences, SegmentKind
+from mv_slapse.strip_matches import SPAN
 import numpy as np
 import pictures
 import pytest
@@ -91,6 +92,49 @@ def test_a_picture_serves_the_pair_after_it_and_no_more_than_some_are_kept(rng):
     assert n_strips(cut.cut(pair(40))) == 0
     assert n_strips(cut.cut(pair(last))) > 20
     assert cut.cut(pair(last + 40)).block.min() == 16  # its own picture has not come yet
+
+
+STEP = 40_000_000  # [ns] between pictures
+
+
+def matched(rng, steps, growth=1.005):
+    """The strips of one pair after the other, each of so many pictures."""
+    cut, ground, found = StripCutter(SETTINGS, camera()), pictures.texture(rng), []
+    cut.keep(0, seen(ground, 1.0))
+    last = 0
+    for step in steps:
+        for k in range(last + 1, last + abs(step) + 1):
+            cut.keep(STEP * k, seen(ground, growth**k))
+        last += abs(step)
+        given = replace(pair(growth=growth**abs(step)), stamp=STEP * last,
+                        previous_stamp=STEP * (last - abs(step)))
+        if step > 0:
+            found.append((last, cut.cut(given)))
+    return found
+
+
+def test_strips_are_looked_for_half_a_second_ago(rng):
+    steps = [2, 1, 3, 2, 2, 3, 2, 1, 2]
+    for last, cut in matched(rng, steps):
+        strips = cut.strips
+        first = min(k for k in np.cumsum([0, *steps]) if STEP * (last - k) <= SPAN)
+        assert strips.stamp == STEP * first
+        assert len(strips) > 40
+        expected = AHEAD + (strips.x_cur - AHEAD) * 1.005**(first - last)
+        assert np.median(np.abs(strips.x_earlier - expected)) < 0.1
+        assert {strips.x_cur.dtype, strips.x_earlier.dtype, strips.sigma.dtype} == {
+            np.dtype(np.float32)}
+
+
+def test_strips_are_followed_as_far_as_pairs_follow_each_other(rng):
+    steps = [2, 2, -2, 2, 2]  # the third pair has never come
+    stamps = [cut.strips.stamp for _, cut in matched(rng, steps)]
+    assert stamps == [0, 0, 6 * STEP, 6 * STEP]
+
+
+def test_a_pair_that_is_not_cut_has_no_strips(rng):
+    assert len(cutter(rng, (0,)).cut(pair()).strips) == 0
+    assert len(cutter(rng, focal=LONGEST + 1).cut(pair()).strips) == 0
 
 
 def test_broken_pairs_and_empty_ones_pass(rng):

@@ -3,6 +3,7 @@
 import cv2
 from mv_slapse.geometry.blocks import MACROBLOCK
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 HEIGHT, STEPS, NOISE, SHARE, OUTWARDS, SHARP, NEAR = 4, 3, 3.0, 15.0, 1.0, 0.3, 8.0
 
@@ -123,3 +124,72 @@ def picture(rng, width=176, height=112, smooth=2.0):
     """Grey levels with structure of some pixels, in rows that are longer than the picture."""
     grey = cv2.GaussianBlur(rng.normal(0, 1, (height, width + 10)), (0, 0), smooth)
     return np.clip(128 + 40 * grey / grey.std(), 0, 255).astype(np.uint8)[:, :width]
+
+
+TELLING, TOGETHER = 0.6, 0.5
+
+
+def earlier_size(off, vector):
+    """How large something at `off` from the expansion point was, by the vector to there."""
+    return np.clip(1 + off @ vector / max(off @ off, 144), 0.6, 1.3)
+
+
+def before(x, link, point):
+    """Where something at x was, by the nearest vector of a pair."""
+    x_cur, x_prev = (column.astype(float) for column in link)
+    k = np.argmin((((x_cur - x) / [16, 6])**2).sum(1))
+    size = earlier_size(x_cur[k] - point, x_prev[k] - x_cur[k])
+    return x_prev[k] + size * (x - x_cur[k])
+
+
+def sized(picture, x, size):
+    """Grey levels (4, 16) of a strip around x that is `size` times as large; None outside."""
+    columns = x[0] + size * (np.arange(16) - 7.5)
+    rows = x[1] + size * (np.arange(4) - 1.5)
+    height, width = picture.shape
+    if (min(columns[0], rows[0]) < 0 or np.floor(columns[-1]) + 1 >= width
+            or np.floor(rows[-1]) + 1 >= height):
+        return None
+    return map_coordinates(picture.astype(float), np.meshgrid(rows, columns, indexing='ij'),
+                           order=1)
+
+
+def find_earlier(now, then, left, top, start, point):
+    """Centre, place in the earlier picture and sigma along its way; None: not known."""
+    x = np.array([left + 7.5, top + 1.5])
+    off, search = x - point, Search(now, then, left, top, HEIGHT)
+    away = np.hypot(*off)
+    if away < NEAR or search.gradients is None:
+        return None
+    n, size, place = off / away, earlier_size(off, start - x), np.array(start, float)
+    J = search.gradients / size
+    known = beforehand(off, TOGETHER)
+    if NOISE**2 * n @ np.linalg.solve(J.T @ J, n) >= TELLING**2:
+        return None
+    for last in [False] * (STEPS + 1) + [True]:
+        there = sized(then, place, size)
+        if there is None:
+            return None
+        apart = search.shown - there
+        apart = (apart - apart.mean()).ravel()
+        if not last:
+            slope = J.T @ apart / NOISE**2 - known @ (place - start)
+            place = place + np.linalg.solve(J.T @ J / NOISE**2 + known, slope)
+    variance = (NOISE**2 + SHARE * np.mean(apart**2)) * n @ np.linalg.solve(J.T @ J, n)
+    return (x, place, np.hypot(np.sqrt(variance), TOGETHER)) if variance < TELLING**2 else None
+
+
+def earlier(now, then, links, point, reach):
+    """Centres (M, 2), places (M, 2) and sigmas (M,) of strips in an earlier picture."""
+    found = []
+    for row in range(-(-now.shape[0] // MACROBLOCK)):
+        for column in range(-(-now.shape[1] // MACROBLOCK)):
+            off = MACROBLOCK * np.array([column, row]) + 7.5 - point
+            if not (abs(off[0]) < reach and -MACROBLOCK < off[1] < reach):
+                continue
+            for top in range(MACROBLOCK * row, MACROBLOCK * (row + 1), HEIGHT):
+                start = np.array([MACROBLOCK * column + 7.5, top + 1.5])
+                for link in links:
+                    start = before(start, link, point)
+                found.append(find_earlier(now, then, MACROBLOCK * column, top, start, point))
+    return [np.array(column) for column in zip(*filter(None, found), strict=True)]

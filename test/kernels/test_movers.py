@@ -44,21 +44,21 @@ def scene(request, rng):
     pair, view, ground = drawn_pair(rng, request.param)
     ground = np.zeros(3) if request.param else ground
     return pair, view, ground, regions._Alike(*pair, *compiled.moving_regions(
-        pair, view, ground, 1.0, regions.RULES))
+        pair, view, ground, 1.0, regions.RULES), len(pair.x))
 
 
 def test_blocks_are_joined_as_by_the_formula(scene):
     pair, view, ground, alike = scene
     expected = reference.moving_regions(pair, view, ground, 1.0, regions.RULES)
     assert len(alike.first) >= 3
-    for own, other in zip(alike[len(pair):], expected, strict=True):
+    for own, other in zip(alike[len(pair):-1], expected, strict=True):
         np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-9)
 
 
 def test_bodies_are_those_of_the_formula(rng):
     pair, view, ground = drawn_pair(rng)
-    alike = regions._Alike(*pair, *compiled.moving_regions(pair, view, ground, 1.0,
-                                                           regions.RULES))
+    alike = regions._Alike(*pair, *compiled.moving_regions(
+        pair, view, ground, 1.0, regions.RULES), len(pair.x))
     n, x, under = len(pair.x), pair.x, alike.under
     rho = under * rng.normal(1, 0.1, n)
     for left, foot, share in ((100, 330, 0.6), (300, 300, 0.4), (450, 400, 0.75)):

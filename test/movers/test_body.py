@@ -36,6 +36,7 @@ class Field(NamedTuple):
     fits: np.ndarray
     members: np.ndarray = np.zeros(0, int)
     first: np.ndarray = np.zeros(0, int)
+    own: int = len(X)
 
 
 def blocks(seed=0, car=NEARNESS, ground=1.0, noise=NOISE):
@@ -208,3 +209,13 @@ def test_only_blocks_that_follow_their_epipolar_lines_count():
     given = blocks(0)
     assert bodies(given)
     assert not bodies(given._replace(fits=~ON_CAR))
+
+
+def test_strips_alone_are_no_body():
+    given = blocks()
+    found = bodies(given)
+    assert found
+    last = min(body[0] for body in found)
+    assert not bodies(given._replace(own=int(last)))
+    assert [list(body) for body in bodies(given._replace(own=int(last) + 1))] == [
+        list(body) for body in found if body[0] == last]

@@ -41,6 +41,9 @@ def test_correspondences_arrive_bit_for_bit(rng):
     back = fields.correspondences_from_message(msg)
     for name in ('x_cur', 'x_prev', 'sigma', 'probability', 'block'):
         np.testing.assert_array_equal(getattr(back, name), getattr(record, name))
+    for name in ('x_cur', 'x_earlier', 'sigma'):
+        np.testing.assert_array_equal(getattr(back.strips, name), getattr(record.strips, name))
+    assert back.strips.stamp == record.strips.stamp
     assert msg.header.frame_id == 'camera_optical'
     assert_same(back, record)
 
