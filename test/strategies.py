@@ -68,12 +68,11 @@ def pairs(draw):
 @st.composite
 def correspondences(draw):
     n = draw(st.integers(0, 4))
-    m, stamp = draw(st.integers(0, 3)), draw(stamps)
-    places = draw(columns(m))
+    places = draw(columns(draw(st.integers(0, 3))))
+    strips = StripMatches(draw(stamps), places['x_cur'], places['x_prev'], places['sigma'])
     return r.Correspondences(
-        **draw(pairs()), strips=StripMatches(
-            stamp, places['x_cur'], places['x_prev'], places['sigma']), n_b=draw(st.integers(0, check.MAX_B_FRAMES)), **draw(columns(n)),
-        probability=draw(array(n, floats(0, 1, width=32), np.float32)))
+        **draw(pairs()), n_b=draw(st.integers(0, check.MAX_B_FRAMES)), **draw(columns(n)),
+        probability=draw(array(n, floats(0, 1, width=32), np.float32)), strips=strips)
 
 
 @st.composite

@@ -119,7 +119,7 @@ class _Alike(NamedTuple):
                 if name not in ('members', 'first', 'own')}
 
     def without_strips(self) -> tuple['_Alike', np.ndarray]:
-        """Return the pair's own blocks, of which each region has one, and those (M,) of members."""
+        """Return the pair's own blocks, and which (M,) of the members of regions these are."""
         kept = self.members < self.own
         size = np.add.reduceat(kept, self.first, dtype=np.int64) if len(self.first) else self.first
         columns = {name: column[:self.own] for name, column in self.columns().items()}

@@ -102,9 +102,10 @@ def test_vectors_that_lead_out_of_the_picture_are_no_error(rng):
 
 def test_wrong_arguments_are_named(rng):
     now, link = picture(rng, WIDTH, HEIGHT), (CENTRES, CENTRES)
+    none = CENTRES[:0]
     for wrong, message in (((now, None, (link,), POINT), 'both pictures must be there'),
                            ((now, now, (link[:1],), POINT), 'a link has two columns'),
-                           ((now, now, ((CENTRES[:0], CENTRES[:0]),), POINT), 'a link has vectors'),
+                           ((now, now, ((none, none),), POINT), 'a link has vectors'),
                            ((now, now, ((CENTRES, link[0][1:]),), POINT), 'x_prev has shape'),
                            ((now, now, (link,), POINT[:1]), 'point has shape')):
         with pytest.raises(ValueError, match=f'^earlier: {message}'):

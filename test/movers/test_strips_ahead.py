@@ -73,7 +73,7 @@ def called(speed, nearest, given, seed, pairs=12):
 def test_strips_tell_a_slow_leader(speed, away, seed):
     found, false = called(speed, away, True, seed)
     assert found >= 0.5
-    assert false == 0
+    assert false < 0.005  # blocks of the road at its edges
     assert called(speed, away, False, seed)[0] == 0  # macroblocks do not yet
 
 
