@@ -23,7 +23,7 @@ struct StripRules {
 // What one strip tells of a pair of key frames, as if it had been matched in these.
 struct Told {
   Vec3 ray;
-  double rho, noise, under, sigma, x_prev[2], parallax[2];
+  double rho, noise, under, x_prev[2], parallax[2];
 };
 
 // The pair's view, and the camera's way since the earlier key frame in baselines of the pair.
@@ -55,15 +55,11 @@ struct Since {
     Vec3 X;
     for (int a = 0; a < 3; ++a) X[a] = out.ray[a] - out.rho * view.t[a];
     const Vec3 before = view.K * (transposed(view.R) * X);
-    double moved[2];
     for (int a = 0; a < 2; ++a) {
       out.x_prev[a] = before[a] / before[2];
-      const double now = X[a] / X[2];
-      out.parallax[a] = (out.ray[a] - now) * focal[a];
-      moved[a] = (view.t[a] - now * view.t[2]) * focal[a];
+      out.parallax[a] = (out.ray[a] - X[a] / X[2]) * focal[a];
     }
-    out.sigma = out.noise * std::hypot(moved[0], moved[1]) / std::abs(1 - out.rho * view.t[2]);
-    return std::isfinite(out.rho + out.sigma + out.x_prev[0] + out.x_prev[1]) && before[2] > 0;
+    return std::isfinite(out.noise + out.x_prev[0] + out.x_prev[1]) && before[2] > 0;
   }
 };
 
@@ -104,8 +100,8 @@ py::tuple strip_depths(const py::object& blocks, const py::tuple& strips, const 
   }
   const auto found = static_cast<py::ssize_t>(told.size());
   Out<std::int64_t> rows({found});
-  Out<double> at({found, 2}), x_prev({found, 2}), sigmas({found}), parallax({found, 2}),
-      rhos({found}), noises({found}), under({found});
+  Out<double> rhos({found}), noises({found}), at({found, 2}), x_prev({found, 2}),
+      parallax({found, 2}), under({found});
   for (py::ssize_t k = 0; k < found; ++k) {
     const Told& strip = told[k];
     rows[k] = row[k];
@@ -115,13 +111,12 @@ py::tuple strip_depths(const py::object& blocks, const py::tuple& strips, const 
       x_prev(k, a) = strip.x_prev[a];
       parallax(k, a) = strip.parallax[a];
     }
-    sigmas[k] = strip.sigma;
     rhos[k] = strip.rho;
     noises[k] = strip.noise;
     under[k] = strip.under;
   }
-  return py::make_tuple(rows.array(), at.array(), x_prev.array(), sigmas.array(),
-                        parallax.array(), rhos.array(), noises.array(), under.array());
+  return py::make_tuple(rows.array(), rhos.array(), noises.array(), at.array(), x_prev.array(),
+                        parallax.array(), under.array());
 }
 
 }  // namespace

@@ -118,13 +118,13 @@ class _Alike(NamedTuple):
         return {name: column for name, column in self._asdict().items()
                 if name not in ('members', 'first', 'own')}
 
-    def without_strips(self) -> tuple['_Alike', np.ndarray]:
-        """Return the pair's own blocks, and which (M,) of the members of regions these are."""
+    def without_strips(self) -> '_Alike':
+        """Return the pair's own blocks, of which each region has one."""
         kept = self.members < self.own
         size = np.add.reduceat(kept, self.first, dtype=np.int64) if len(self.first) else self.first
         columns = {name: column[:self.own] for name, column in self.columns().items()}
         return self._replace(**columns, members=self.members[kept],
-                             first=np.cumsum(size) - size), kept
+                             first=np.cumsum(size) - size)
 
     def rows(self, i: int) -> slice:
         """Return where the blocks of region i are among the members."""
@@ -165,12 +165,12 @@ def with_moving_planes(extraction: Extraction, memory: Memory, threshold: float,
     view = View(extraction.K, np.ascontiguousarray(motion.R_cur_from_prev, float),
                 np.ascontiguousarray(motion.t_cur_from_prev, float))
     seen, evidence, memorable = _regions(extraction, pair, view, ground, memory, strips)
-    fit = _fitted(seen, view, ground)
     outline = outlines(seen, view.K, ground.plane,
                        ground.level if ground.plane is None else ground.plane,
                        ground.camera_height)
-    alike, kept = seen.without_strips()
-    fit = fit._replace(inlier=fit.inlier[kept])
+    # What strips tell of a while ago is no motion of this pair.
+    alike = seen.without_strips()
+    fit = _fitted(alike, view, ground)
     *now, summed = _scored(alike, fit, outline, view, ground.nearer, evidence)
     # A parked car that starts keeps the id of its plane.
     told = _Scores(*compiled.histories(alike, *now, memory.inherited(extraction), pair.plane_id,

@@ -23,7 +23,7 @@ class Rules(NamedTuple):
 
 
 RULES = Rules()
-TOLD = 'x', 'x_prev', 'sigma', 'parallax', 'rho', 'noise', 'under'
+DEPTH, FURTHER = ('rho', 'noise'), ('x', 'x_prev', 'parallax', 'under')
 
 
 class Way(NamedTuple):
@@ -56,9 +56,9 @@ class Way(NamedTuple):
 def with_strips(blocks, strips: StripMatches, way: Way, view: View, ground: np.ndarray):
     """Return the blocks of a pair, as of movers.regions, with what strips tell of them.
 
-    A strip that is a block already tells its depth better, others follow as further blocks, as
-    they would have moved in this pair. ``strips`` are without distortion, ``way`` leads to the
-    pair's later camera, ``ground`` (3,) is n / d there [1/baseline].
+    A strip that is a block already tells its depth better, others follow as further blocks that
+    have moved as such a depth does in this pair. ``strips`` are without distortion, ``way`` leads
+    to the pair's later camera, ``ground`` (3,) is n / d there [1/baseline].
     """
     since = way.since(strips.stamp, 1 / norm(ground))
     if since is None or not since[1][2] < 0:  # of what comes nearer alone
@@ -70,7 +70,9 @@ def with_strips(blocks, strips: StripMatches, way: Way, view: View, ground: np.n
     more = max(row.max(initial=-1) + 1 - n, 0)
     whole = {name: np.concatenate((column, np.zeros((more, *column.shape[1:]), column.dtype)))
              for name, column in blocks.columns().items()}
-    for name, values in zip(TOLD, told, strict=True):
-        whole[name][row] = values
+    further = row >= n
+    for name, values in zip((*DEPTH, *FURTHER), told, strict=True):
+        which = slice(None) if name in DEPTH else further
+        whole[name][row[which]] = values[which]
     whole['plane_id'][n:], whole['block'][n:], whole['fits'][n:] = -1, SIZE, True
     return blocks._replace(**whole)

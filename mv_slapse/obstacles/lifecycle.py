@@ -30,8 +30,8 @@ class Rules(NamedTuple):
     believed: float = 0.6  # at which a body is: 1.8 to 1; with less more false ones are confirmed
     even_score: float = ExtractionSettings.moving_score  # chi-square: labels call it moving
     # Beyond it for a unit: wrong vectors do not last, of 37 regions in kitti00, parking and
-    # crossings the highest but one came to 26.
-    per_score: float = 30.0
+    # crossings the highest but one came to 26, which tells half of what is believed.
+    per_score: float = 20.0
     independent: float = 0.1  # [s] after which an outline of wrong vectors is another one
 
 
