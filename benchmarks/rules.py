@@ -263,6 +263,8 @@ RULES = (
          {MOVERS + 'body:with_bodies':
           gives(lambda regions, *_: (regions.members, regions.first, np.zeros(len(regions.first)),
                                      None))}),
+    Rule('strips of a while ago', 'where strips were half a second ago tells their depths',
+         {MOVERS + 'strip_depths:with_strips': gives(lambda blocks, *rest: blocks)}),
     Rule('bodies over pairs', 'what several pairs together tell of a body makes it a mover',
          {MOVERS + 'score:RULES': constants(bodies=0.0)}),
     Rule('upright', 'blocks of bodies tell nothing of the ground\'s height',
