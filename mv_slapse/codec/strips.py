@@ -13,7 +13,7 @@ from mv_slapse.config import DecoderSettings
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Correspondences
-from mv_slapse.strip_matches import SPAN, StripMatches
+from mv_slapse.strip_matches import NONE, SPAN, StripMatches
 import numpy as np
 
 REACH = 0.13  # of the focal length, beside and below the expansion point: 2.6 m in 20 m,
@@ -81,7 +81,7 @@ class StripCutter:
         near = ~pair.lone & (np.abs(pair.x_cur - self._point) < self.reach + BESIDE).all(1)
         if not near.any():
             self._links = []
-            return StripMatches()
+            return NONE
         links = [_Link(pair.stamp, pair.previous_stamp, before,
                        (pair.x_cur[near], pair.x_prev[near]))]
         for link in self._links:

@@ -12,7 +12,7 @@ from mv_slapse.geometry.blocks import grid_centres, grid_shape, MACROBLOCK, macr
 from mv_slapse.geometry.camera import Camera
 from mv_slapse.kernels.binding import compiled
 from mv_slapse.records import Correspondences, Extraction
-from mv_slapse.strip_matches import StripMatches
+from mv_slapse.strip_matches import NONE
 import numpy as np
 
 
@@ -50,7 +50,7 @@ def correspondences_of(given: Correspondences, factor: float) -> Correspondences
         x_prev=_smaller(given.x_prev[rows], factor).astype(np.float32),
         sigma=(given.sigma[rows] / factor).astype(np.float32),
         probability=given.probability[rows],
-        block=np.full((len(rows), 2), MACROBLOCK, np.uint8), strips=StripMatches())
+        block=np.full((len(rows), 2), MACROBLOCK, np.uint8), strips=NONE)
 
 
 def extraction_of(coarse: Extraction, factor: float, given: Correspondences,

@@ -212,7 +212,7 @@ def _regions(extraction, pair, view, ground, memory, strips):
         return alike, np.zeros(len(alike.first)), {'bodies': body.Bodies(), 'way': Way()}
     stamps = extraction.previous_stamp, extraction.stamp
     before = memory if memory.stamp == stamps[0] else Memory()
-    way = before.way.gone_on(stamps, view, 1 / norm(ground.plane))
+    way = before.way.gone_on(stamps, view, norm(ground.plane))
     seen = with_strips(alike, strips, way, view, ground.plane) if len(strips) else alike
     members, first, evidence, bodies = body.with_bodies(
         seen, view, ground.plane, ground.camera_height, (extraction.width, extraction.height),

@@ -18,7 +18,9 @@ class Rules(NamedTuple):
     """Constants of strips."""
 
     height: float = SIZE[1]  # px, of a strip
-    passes: float = 3.0  # px by which a strip may miss its epipolar line: it is no mover's then
+    # px by which a strip may miss its epipolar line: beyond, neither what stands nor what drives
+    # ahead explains it
+    passes: float = 3.0
     agrees: float = 4.0  # standard deviations of a block's own depth within which it is the same
 
 
@@ -33,24 +35,24 @@ class Way(NamedTuple):
     R: tuple[np.ndarray, ...] = ()  # (3, 3), R_cur_from_then,
     t: tuple[np.ndarray, ...] = ()  # (3,), t_cur_from_then [heights of the camera]
 
-    def gone_on(self, stamps: tuple[int, int], view: View, height: float) -> 'Way':
+    def gone_on(self, stamps: tuple[int, int], view: View, baseline: float) -> 'Way':
         """Return it in the later camera of a pair with these stamps [ns].
 
-        ``height`` is that of the camera in baselines of the pair.
+        ``baseline`` is the pair's in heights of the camera.
         """
         previous, stamp = stamps
-        t = view.t / height
+        t = baseline * view.t
         kept = [i for i, then in enumerate(self.stamp) if stamp - then <= SPAN]
         return Way((*(self.stamp[i] for i in kept), previous),
                    (*(view.R @ self.R[i] for i in kept), view.R),
                    (*(view.R @ self.t[i] + t for i in kept), t))
 
-    def since(self, stamp: int, height: float) -> tuple[np.ndarray, np.ndarray] | None:
+    def since(self, stamp: int, baseline: float) -> tuple[np.ndarray, np.ndarray] | None:
         """Return R (3, 3) and t (3,) [baseline] from a key frame on; None: not known."""
         if stamp not in self.stamp:
             return None
         i = self.stamp.index(stamp)
-        return self.R[i], height * self.t[i]
+        return self.R[i], self.t[i] / baseline
 
 
 def with_strips(blocks, strips: StripMatches, way: Way, view: View, ground: np.ndarray):
@@ -60,7 +62,7 @@ def with_strips(blocks, strips: StripMatches, way: Way, view: View, ground: np.n
     have moved as such a depth does in this pair. ``strips`` are without distortion, ``way`` leads
     to the pair's later camera, ``ground`` (3,) is n / d there [1/baseline].
     """
-    since = way.since(strips.stamp, 1 / norm(ground))
+    since = way.since(strips.stamp, norm(ground))
     if since is None or not since[1][2] < 0:  # of what comes nearer alone
         return blocks
     columns = tuple(np.ascontiguousarray(column, float)

@@ -24,7 +24,7 @@ def way(pairs=PAIRS):
     """The way over some pairs, the last of which ends at pairs * DT."""
     made = Way()
     for k in range(pairs):
-        made = made.gone_on((k * DT, (k + 1) * DT), VIEW, HEIGHT / STEP)
+        made = made.gone_on((k * DT, (k + 1) * DT), VIEW, STEP / HEIGHT)
     return made
 
 
@@ -151,7 +151,7 @@ def test_where_the_way_is_not_known_nothing_is_told():
     late = StripMatches(17, given.x_cur, given.x_earlier, given.sigma)
     assert with_strips(own, late, way(), VIEW, GROUND) is own
     back = View(K, TURN, -UNIT)
-    made = Way().gone_on((0, DT), back, HEIGHT / STEP)
+    made = Way().gone_on((0, DT), back, STEP / HEIGHT)
     assert with_strips(own, given, made, back, GROUND) is own
 
 
@@ -159,14 +159,13 @@ def test_the_way_is_as_long_as_strips_reach_back():
     made = way(20)
     assert made.stamp == tuple(k * DT for k in range(15, 20))
     assert 20 * DT - made.stamp[0] == SPAN
-    R, t = made.since(16 * DT, HEIGHT / STEP)
+    R, t = made.since(16 * DT, STEP / HEIGHT)
     np.testing.assert_allclose(R, poses(4)[0], atol=1e-12)
     np.testing.assert_allclose(t, poses(4)[1], atol=1e-12)
     assert made.since(10 * DT, 1.0) is None
 
 
 def test_its_lengths_are_heights_of_the_camera():
-    # The second pair is twice as long, so that the camera is half as high in its baselines.
-    made = Way().gone_on((0, DT), VIEW, 2.0).gone_on((DT, 3 * DT), VIEW, 1.0)
+    made = Way().gone_on((0, DT), VIEW, 0.5).gone_on((DT, 3 * DT), VIEW, 1.0)
     _, t = made.since(0, 1.0)
     np.testing.assert_allclose(t, TURN @ UNIT / 2 + UNIT)

@@ -80,3 +80,16 @@ def test_strips_tell_a_slow_leader(speed, away, seed):
 @pytest.mark.parametrize('seed', range(3))
 def test_what_stands_there_is_not_called_moving(seed):
     assert called(0.0, 16.0, True, seed) == (0, 0)
+
+
+def test_the_way_goes_on_from_pair_to_pair_and_not_over_a_gap():
+    rng = np.random.default_rng(0)
+    ground = KnownGround(np.array([0, -1.0, 0]) * SPEED * DT / HEIGHT, camera_height=HEIGHT)
+    memory = Memory()
+    for k, known in ((0, 1), (1, 2), (2, 3), (4, 1), (5, 2)):
+        _, memory = with_moving_planes(pair_of(k, 18.0, 3.0, rng)[0], memory, THRESHOLD, ground)
+        assert len(memory.way.stamp) == known
+        assert memory.way.stamp[-1] == round(1e9 * DT * k)
+    _, memory = with_moving_planes(pair_of(6, 18.0, 3.0, rng)[0], memory, THRESHOLD,
+                                   KnownGround())
+    assert memory.way.stamp == ()
