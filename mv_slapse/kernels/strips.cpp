@@ -248,18 +248,20 @@ KERNELS_INLINE bool compare(const Picture& picture, Vec2 x, float size, const Pa
   if (left[0] < 0 || floor_of(upper) < 0 || left[WIDTH - 1] + 1 >= picture.width ||
       last + 1 >= picture.height)
     return false;
+  constexpr int SPAN = static_cast<int>(SHRUNK_MOST * WIDTH) + 3;  // columns that a row reaches over
+  const int span = std::min(left[WIDTH - 1] + 2 - left[0], SPAN);
   for (int j = 0; j < HEIGHT; ++j) {
     const float at = upper + size * static_cast<float>(j);
     const int top = floor_of(at);
     const float below = at - static_cast<float>(top);
-    const std::uint8_t *row = picture.row(top), *next = picture.row(top + 1);
+    const std::uint8_t *row = picture.row(top) + left[0], *next = picture.row(top + 1) + left[0];
+    float level[SPAN];  // between the rows
+    for (int i = 0; i < span; ++i)
+      level[i] = static_cast<float>(row[i]) + below * static_cast<float>(next[i] - row[i]);
     for (int i = 0; i < WIDTH; ++i) {
-      const int k = left[i];
-      const float here = static_cast<float>(row[k]) +
-                         right[i] * static_cast<float>(row[k + 1] - row[k]),
-                  lower = static_cast<float>(next[k]) +
-                          right[i] * static_cast<float>(next[k + 1] - next[k]);
-      out.value[j * WIDTH + i] = patch.value[j * WIDTH + i] - (here + below * (lower - here));
+      const float* here = level + (left[i] - left[0]);
+      out.value[j * WIDTH + i] =
+          patch.value[j * WIDTH + i] - (here[0] + right[i] * (here[1] - here[0]));
     }
   }
   take_mean_off(out);
@@ -273,10 +275,11 @@ float earlier_size(Vec2 off, Vec2 vector) {
   return std::clamp(1 + along / std::max(square(off), least * least), GROWN_MOST, SHRUNK_MOST);
 }
 
-// Where the strip whose first pixel lies at (left, top) was in an earlier picture, by a place that
-// may be off by a pixel or two; false where that tells little, or lies outside.
+// Where the strip whose first pixel lies at (left, top) was in an earlier picture, by a place
+// `start_of` it that may be off by a pixel or two; false where that tells little, or lies outside.
+template <typename Start>
 KERNELS_WIDE bool find_earlier(const Picture& now, const Picture& then, int left, int top,
-                               Vec2 start, Vec2 point, Strip& out) {
+                               Vec2 point, Start start_of, Strip& out) {
   const Vec2 x = Vec2{static_cast<float>(left), static_cast<float>(top)} +
                  Vec2{0.5f * (WIDTH - 1), 0.5f * (HEIGHT - 1)};
   const Vec2 off = x - point;
@@ -292,13 +295,17 @@ KERNELS_WIDE bool find_earlier(const Picture& now, const Picture& then, int left
     const Vec2 across = solve(a, n);
     return noise * (n.x * across.x + n.y * across.y);
   };
+  // Whatever its size was it tells little.
+  constexpr float most = TELLING * TELLING;
+  if (!(GROWN_MOST * GROWN_MOST * variance_out(1 / SURE) < most)) return false;
+  const Vec2 start = start_of(x);
   const float size = earlier_size(off, start - x);
   for (int i = 0; i < WIDTH * HEIGHT; ++i) {
     strip.by_x.value[i] /= size;
     strip.by_y.value[i] /= size;
   }
   strip.texture = 1 / (size * size) * strip.texture;
-  if (!(variance_out(1 / SURE) < TELLING * TELLING)) return false;
+  if (!(variance_out(1 / SURE) < most)) return false;
   const Symmetric known = beforehand(off, TOGETHER);
   if (!compare(then, start, size, strip.value, apart)) return false;
   Vec2 place = start;
@@ -308,7 +315,7 @@ KERNELS_WIDE bool find_earlier(const Picture& now, const Picture& then, int left
   }
   const float noise = NOISE * NOISE + SHARE * product(apart, apart) / apart.PIXELS;
   out = {x, place, variance_out(noise)};
-  return out.variance < TELLING * TELLING;
+  return out.variance < most;
 }
 
 // The vector that two pictures tell of the macroblock around x, from one that may be off by a pixel;
@@ -414,26 +421,56 @@ py::tuple strips(const py::object& picture, const py::object& before, const py::
                         array_of(out.probability), array_of(out.block, 2));
 }
 
-// Vectors of a pair near the expansion point.
-struct Link {
-  In<float> x_cur, x_prev;
+// Vectors of a pair near the expansion point, in cells of a macroblock.
+class Link {
+ public:
+  Link(In<float> x_cur, In<float> x_prev) : x_cur_(std::move(x_cur)), x_prev_(std::move(x_prev)) {
+    for (py::ssize_t i = 0; i < x_cur_.size(); ++i) {
+      const Vec2 x = at(x_cur_, i);
+      low_ = {std::min(low_.x, x.x), std::min(low_.y, x.y)};
+      high_ = {std::max(high_.x, x.x), std::max(high_.y, x.y)};
+    }
+    columns_ = column_of(high_.x) + 1;
+    rows_ = row_of(high_.y) + 1;
+    cells_.resize(columns_ * rows_);
+    for (py::ssize_t i = 0; i < x_cur_.size(); ++i) {
+      const Vec2 x = at(x_cur_, i);
+      cells_[row_of(x.y) * columns_ + column_of(x.x)].push_back(i);
+    }
+  }
 
   // Where something at x was in the earlier key frame, by the nearest vector; rows differ more.
   Vec2 before(Vec2 x, Vec2 point) const {
-    constexpr float across = 1 / 16.0f, down = 1 / 6.0f;
-    py::ssize_t nearest = 0;
-    float least = INFINITY;
-    for (py::ssize_t i = 0; i < x_cur.size(); ++i) {
-      const Vec2 apart = at(x_cur, i) - x;
-      const float distance = square(Vec2{across * apart.x, down * apart.y});
-      if (distance < least) {
-        least = distance;
-        nearest = i;
-      }
-    }
-    const Vec2 from = at(x_cur, nearest), to = at(x_prev, nearest);
+    Nearest nearest;
+    const int column = column_of(x.x), row = row_of(x.y);
+    for (int r = std::max(row - 1, 0); r < std::min(row + 2, rows_); ++r)
+      for (int c = std::max(column - 1, 0); c < std::min(column + 2, columns_); ++c)
+        for (const auto i : cells_[r * columns_ + c]) compare(i, x, nearest);
+    if (nearest.distance > 1)  // of a cell farther off there may be a nearer one
+      for (py::ssize_t i = 0; i < x_cur_.size(); ++i) compare(i, x, nearest);
+    const Vec2 from = at(x_cur_, nearest.i), to = at(x_prev_, nearest.i);
     return to + earlier_size(from - point, to - from) * (x - from);
   }
+
+ private:
+  struct Nearest {
+    py::ssize_t i = 0;
+    float distance = INFINITY;
+  };
+
+  void compare(py::ssize_t i, Vec2 x, Nearest& nearest) const {
+    const Vec2 apart = at(x_cur_, i) - x;
+    const float distance = square(Vec2{apart.x / MACROBLOCK, apart.y / 6});
+    if (distance < nearest.distance || (distance == nearest.distance && i < nearest.i))
+      nearest = {i, distance};
+  }
+  int column_of(float x) const { return floor_of((x - low_.x) / MACROBLOCK); }
+  int row_of(float y) const { return floor_of((y - low_.y) / MACROBLOCK); }
+
+  In<float> x_cur_, x_prev_;
+  Vec2 low_{INFINITY, INFINITY}, high_{-INFINITY, -INFINITY};
+  int columns_, rows_;
+  std::vector<std::vector<py::ssize_t>> cells_;
 };
 
 // Strips up to `reach` [px] beside and below a point, and where they were in an earlier picture, as
@@ -453,7 +490,7 @@ py::tuple earlier(const py::object& picture, const py::object& before, const py:
     In<float> x_cur(name, "x_cur", link[0], {ANY, 2}, Check::finite);
     In<float> x_prev(name, "x_prev", link[1], {x_cur.size(), 2}, Check::finite);
     require(x_cur.size() > 0, name, "a link has vectors");
-    links.push_back({std::move(x_cur), std::move(x_prev)});
+    links.emplace_back(std::move(x_cur), std::move(x_prev));
   }
   std::vector<float> x_cur, x_earlier, sigma;
   for (int row = 0; row < macroblocks(now->height); ++row)
@@ -462,10 +499,12 @@ py::tuple earlier(const py::object& picture, const py::object& before, const py:
       const Vec2 off = Vec2{left + 0.5f * (MACROBLOCK - 1), top + 0.5f * (MACROBLOCK - 1)} - point;
       if (!(std::abs(off.x) < reach && off.y > -MACROBLOCK && off.y < reach)) continue;
       for (int k = 0; k < STRIPS; ++k) {
-        Vec2 start{left + 0.5f * (WIDTH - 1), top + HEIGHT * k + 0.5f * (HEIGHT - 1)};
-        for (const Link& link : links) start = link.before(start, point);
+        const auto start_of = [&](Vec2 x) {
+          for (const Link& link : links) x = link.before(x, point);
+          return x;
+        };
         Strip found;
-        if (!find_earlier(*now, *then, left, top + HEIGHT * k, start, point, found)) continue;
+        if (!find_earlier(*now, *then, left, top + HEIGHT * k, point, start_of, found)) continue;
         for (const float coordinate : {found.x.x, found.x.y}) x_cur.push_back(coordinate);
         for (const float coordinate : {found.vector.x, found.vector.y})
           x_earlier.push_back(coordinate);
