@@ -119,7 +119,7 @@ class PlaneExtractor:
         told = Told(known.take(rows, 0), length, ratio)
         found = self._named(Found(fit, evidence, self._planes(
             blank, Found(fit, evidence, []), told, floor, (left[rows], road[rows]))))
-        found = self._moving(blank, pair, found, (floor, ratio), strips)
+        found = self._moving(blank, pair, found, floor, ratio, strips)
         found = self._refined(pair, found, floor)
         blank = replace(blank, baseline_ratio=ratio.log, baseline_ratio_sigma=ratio.sigma)
         shown = self._finished(blank, pair, found, noise, floor)
@@ -274,11 +274,10 @@ class PlaneExtractor:
         return memory.planes.predicted(fit.R_cur_from_prev, fit.t_cur_from_prev,
                                        *memory.log_ratio(blank, ratio))
 
-    def _moving(self, blank, pair, found: Found, expected: tuple[GroundPrior, BaselineRatio],
+    def _moving(self, blank, pair, found: Found, prior: GroundPrior, ratio,
                 strips: StripMatches) -> Found:
         """Find what moves by itself, and take it out of the stationary planes."""
         label, plane_id = labels(found)
-        prior, ratio = expected
         id_, seen = next(((plane.id, plane.plane) for plane in found.planes if plane.is_ground),
                          (-1, None))
         floor, nearer = ground.for_movers(seen, prior, self._memory.height)

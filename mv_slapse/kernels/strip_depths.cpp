@@ -22,6 +22,7 @@ struct StripRules {
 
 // What one strip tells of a pair of key frames, as if it had been matched in these.
 struct Told {
+  std::int64_t row;  // among the blocks, or behind them
   Vec3 ray;
   double rho, noise, under, x_prev[2], parallax[2];
 };
@@ -37,27 +38,27 @@ struct Since {
   // False where the strip did not move along its epipolar line.
   bool tell(double x, double y, const double* earlier, double sigma, Told& out) const {
     const double focal[2] = {view.K[0], view.K[4]};
-    out.ray = view.inverse_K * Vec3{x, y, 1};
+    const Vec3 ray = out.ray = view.inverse_K * Vec3{x, y, 1};
     const Vec3 turned = R * (view.inverse_K * Vec3{earlier[0], earlier[1], 1});
     const double at[2] = {turned[0] / turned[2], turned[1] / turned[2]};
     // The inverse depth at which X = ray / rho was seen there, (1) to (5) of [MVO].
     double g[2], off[2];
     for (int a = 0; a < 2; ++a) {
       g[a] = (t[a] - at[a] * t[2]) * focal[a];
-      off[a] = (out.ray[a] - at[a]) * focal[a];
+      off[a] = (ray[a] - at[a]) * focal[a];
     }
     const double length = std::hypot(g[0], g[1]);
     if (!(std::abs(off[0] * g[1] - off[1] * g[0]) < passes * length)) return false;
     out.rho = (off[0] * g[0] + off[1] * g[1]) / square(length);
     out.noise = sigma * std::abs(1 - out.rho * t[2]) / length;
-    out.under = -dot(out.ray, ground);
+    out.under = -dot(ray, ground);
     // The same depth, seen in the pair.
     Vec3 X;
-    for (int a = 0; a < 3; ++a) X[a] = out.ray[a] - out.rho * view.t[a];
+    for (int a = 0; a < 3; ++a) X[a] = ray[a] - out.rho * view.t[a];
     const Vec3 before = view.K * (transposed(view.R) * X);
     for (int a = 0; a < 2; ++a) {
       out.x_prev[a] = before[a] / before[2];
-      out.parallax[a] = (out.ray[a] - X[a] / X[2]) * focal[a];
+      out.parallax[a] = (ray[a] - X[a] / X[2]) * focal[a];
     }
     return std::isfinite(out.noise + out.x_prev[0] + out.x_prev[1]) && before[2] > 0;
   }
@@ -83,7 +84,6 @@ py::tuple strip_depths(const py::object& blocks, const py::tuple& strips, const 
   std::vector<py::ssize_t> cut;
   for (py::ssize_t i = 0; i < n; ++i)
     if (block(i, 1) == rules.height) cut.push_back(i);
-  std::vector<std::int64_t> row;
   std::vector<Told> told;
   auto next = n;
   for (py::ssize_t k = 0; k < m; ++k) {
@@ -95,25 +95,25 @@ py::tuple strip_depths(const py::object& blocks, const py::tuple& strips, const 
     if (same != cut.end() && !(strip.noise < noise[*same] &&
                                std::abs(strip.rho - rho[*same]) < rules.agrees * noise[*same]))
       continue;
-    row.push_back(same == cut.end() ? next++ : *same);
+    strip.row = same == cut.end() ? next++ : *same;
     told.push_back(strip);
   }
   const auto found = static_cast<py::ssize_t>(told.size());
   Out<std::int64_t> rows({found});
   Out<double> rhos({found}), noises({found}), at({found, 2}), x_prev({found, 2}),
       parallax({found, 2}), under({found});
-  for (py::ssize_t k = 0; k < found; ++k) {
-    const Told& strip = told[k];
-    rows[k] = row[k];
+  for (py::ssize_t i = 0; i < found; ++i) {
+    const Told& strip = told[i];
+    rows[i] = strip.row;
+    rhos[i] = strip.rho;
+    noises[i] = strip.noise;
     const Vec3 pixel = view.K * strip.ray;
     for (int a = 0; a < 2; ++a) {
-      at(k, a) = pixel[a];
-      x_prev(k, a) = strip.x_prev[a];
-      parallax(k, a) = strip.parallax[a];
+      at(i, a) = pixel[a];
+      x_prev(i, a) = strip.x_prev[a];
+      parallax(i, a) = strip.parallax[a];
     }
-    rhos[k] = strip.rho;
-    noises[k] = strip.noise;
-    under[k] = strip.under;
+    under[i] = strip.under;
   }
   return py::make_tuple(rows.array(), rhos.array(), noises.array(), at.array(), x_prev.array(),
                         parallax.array(), under.array());

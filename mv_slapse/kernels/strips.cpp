@@ -160,10 +160,21 @@ Symmetric beforehand(Vec2 off, float across) {
           out * n.y * n.y + side * n.x * n.x};
 }
 
+// Whether a macroblock at `off` from the expansion point is looked at.
+bool lies_ahead(Vec2 off, float reach) {
+  return std::abs(off.x) < reach && off.y > -MACROBLOCK && off.y < reach;
+}
+
 struct Strip {
   Vec2 x, vector;
   float variance;
 };
+
+// Two more values of a column of places.
+void append(std::vector<float>& column, Vec2 x) {
+  column.push_back(x.x);
+  column.push_back(x.y);
+}
 
 template <int HEIGHT>
 struct Shown {  // what a patch shows, and its gradients less their means
@@ -361,8 +372,8 @@ struct Columns {  // of a pair, as they grow
     block.reserve(2 * usual);
   }
   void add(Vec2 x, Vec2 match, float sigma_, float probability_, int width, int height) {
-    for (const float coordinate : {x.x, x.y}) x_cur.push_back(coordinate);
-    for (const float coordinate : {match.x, match.y}) x_prev.push_back(coordinate);
+    append(x_cur, x);
+    append(x_prev, match);
     sigma.push_back(sigma_);
     probability.push_back(probability_);
     for (const int side : {width, height}) block.push_back(static_cast<std::uint8_t>(side));
@@ -396,8 +407,7 @@ py::tuple strips(const py::object& picture, const py::object& before, const py::
     const Vec2 x = at(x_cur, i), off = x - point;
     Strip found[STRIPS];
     int sharp = 0;
-    if (!(probability[i] < least) && std::abs(off.x) < reach && off.y > -MACROBLOCK &&
-        off.y < reach) {
+    if (!(probability[i] < least) && lies_ahead(off, reach)) {
       const int macroblock = nearest_macroblock(x, columns, rows);
       starts.assign(1, at(x_prev, i) - x);
       for (const int other : {macroblock - columns, macroblock + columns})
@@ -421,28 +431,20 @@ py::tuple strips(const py::object& picture, const py::object& before, const py::
                         array_of(out.probability), array_of(out.block, 2));
 }
 
-// Vectors of a pair near the expansion point, in cells of a macroblock.
+// Vectors of a pair near the expansion point, by the macroblock of the picture that each lies in.
 class Link {
  public:
-  Link(In<float> x_cur, In<float> x_prev) : x_cur_(std::move(x_cur)), x_prev_(std::move(x_prev)) {
-    for (py::ssize_t i = 0; i < x_cur_.size(); ++i) {
-      const Vec2 x = at(x_cur_, i);
-      low_ = {std::min(low_.x, x.x), std::min(low_.y, x.y)};
-      high_ = {std::max(high_.x, x.x), std::max(high_.y, x.y)};
-    }
-    columns_ = column_of(high_.x) + 1;
-    rows_ = row_of(high_.y) + 1;
-    cells_.resize(columns_ * rows_);
-    for (py::ssize_t i = 0; i < x_cur_.size(); ++i) {
-      const Vec2 x = at(x_cur_, i);
-      cells_[row_of(x.y) * columns_ + column_of(x.x)].push_back(i);
-    }
+  Link(In<float> x_cur, In<float> x_prev, int columns, int rows)
+      : x_cur_(std::move(x_cur)), x_prev_(std::move(x_prev)), columns_(columns), rows_(rows),
+        cells_(columns * rows) {
+    for (py::ssize_t i = 0; i < x_cur_.size(); ++i)
+      cells_[nearest_macroblock(at(x_cur_, i), columns, rows)].push_back(i);
   }
 
   // Where something at x was in the earlier key frame, by the nearest vector; rows differ more.
   Vec2 before(Vec2 x, Vec2 point) const {
     Nearest nearest;
-    const int column = column_of(x.x), row = row_of(x.y);
+    const int column = nearest_of(x.x, columns_), row = nearest_of(x.y, rows_);
     for (int r = std::max(row - 1, 0); r < std::min(row + 2, rows_); ++r)
       for (int c = std::max(column - 1, 0); c < std::min(column + 2, columns_); ++c)
         for (const auto i : cells_[r * columns_ + c]) compare(i, x, nearest);
@@ -464,11 +466,8 @@ class Link {
     if (distance < nearest.distance || (distance == nearest.distance && i < nearest.i))
       nearest = {i, distance};
   }
-  int column_of(float x) const { return floor_of((x - low_.x) / MACROBLOCK); }
-  int row_of(float y) const { return floor_of((y - low_.y) / MACROBLOCK); }
 
   In<float> x_cur_, x_prev_;
-  Vec2 low_{INFINITY, INFINITY}, high_{-INFINITY, -INFINITY};
   int columns_, rows_;
   std::vector<std::vector<py::ssize_t>> cells_;
 };
@@ -483,6 +482,7 @@ py::tuple earlier(const py::object& picture, const py::object& before, const py:
   require(now && then, name, "both pictures must be there");
   const In<double> to(name, "point", place, {2}, Check::finite);
   const Vec2 point{static_cast<float>(to[0]), static_cast<float>(to[1])};
+  const int columns = macroblocks(now->width), rows = macroblocks(now->height);
   std::vector<Link> links;
   for (py::ssize_t i = 0; i < way.size(); ++i) {
     const auto link = way[i].cast<py::tuple>();
@@ -490,14 +490,14 @@ py::tuple earlier(const py::object& picture, const py::object& before, const py:
     In<float> x_cur(name, "x_cur", link[0], {ANY, 2}, Check::finite);
     In<float> x_prev(name, "x_prev", link[1], {x_cur.size(), 2}, Check::finite);
     require(x_cur.size() > 0, name, "a link has vectors");
-    links.emplace_back(std::move(x_cur), std::move(x_prev));
+    links.emplace_back(std::move(x_cur), std::move(x_prev), columns, rows);
   }
   std::vector<float> x_cur, x_earlier, sigma;
-  for (int row = 0; row < macroblocks(now->height); ++row)
-    for (int column = 0; column < macroblocks(now->width); ++column) {
+  for (int row = 0; row < rows; ++row)
+    for (int column = 0; column < columns; ++column) {
       const int left = MACROBLOCK * column, top = MACROBLOCK * row;
       const Vec2 off = Vec2{left + 0.5f * (MACROBLOCK - 1), top + 0.5f * (MACROBLOCK - 1)} - point;
-      if (!(std::abs(off.x) < reach && off.y > -MACROBLOCK && off.y < reach)) continue;
+      if (!lies_ahead(off, reach)) continue;
       for (int k = 0; k < STRIPS; ++k) {
         const auto start_of = [&](Vec2 x) {
           for (const Link& link : links) x = link.before(x, point);
@@ -505,9 +505,8 @@ py::tuple earlier(const py::object& picture, const py::object& before, const py:
         };
         Strip found;
         if (!find_earlier(*now, *then, left, top + HEIGHT * k, point, start_of, found)) continue;
-        for (const float coordinate : {found.x.x, found.x.y}) x_cur.push_back(coordinate);
-        for (const float coordinate : {found.vector.x, found.vector.y})
-          x_earlier.push_back(coordinate);
+        append(x_cur, found.x);
+        append(x_earlier, found.vector);
         sigma.push_back(std::sqrt(found.variance + TOGETHER * TOGETHER));
       }
     }
