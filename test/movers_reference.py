@@ -263,7 +263,7 @@ def _score(i, fit, o, K, t, seen, nearer, c):
     if (stands and nearer == 1 and c.lowest_part <= height <= o.limit[1]
             and foot >= c.least_ratio * under):
         ratio = foot / under
-        above = max(np.log(body_end(ratio * drop, c) / drop), 0)
+        above = max(np.log(body_end(i, ratio * drop, o, c) / drop), 0)
         spread = np.sqrt((c.edge_sigma / drop)**2 + c.ground_sigma**2 + (sigma / foot)**2
                          + c.clearance**2)
         hovers = min((above / spread)**2 - 1, ground_below(i, ratio, o, seen, c))
@@ -287,9 +287,10 @@ def credible(i, o, seen, c):
     return c.credit * o.kinds[i] * (1 - copied)**2 / copied
 
 
-def body_end(drop, c):
+def body_end(i, drop, o, c):
     """Return how far below the horizon a body ends that stands so far below it."""
-    return drop - max(c.underbody * drop - c.macroblock, 0)
+    height = o.high[i, 1] - o.low[i, 1] + c.macroblock
+    return drop - max(c.underbody * height - c.macroblock, 0)
 
 
 def across(i, o, seen, c):
@@ -334,7 +335,8 @@ def ground_below(i, ratio, o, seen, c):
     drop, below = o.drop[i], seen.x[:, 1] - o.foot[i, 1]
     if not np.isfinite(drop):
         return 0.0
-    reach = max((body_end(ratio * drop, c) if ratio > 1 else ratio * drop) - drop, c.least_reach)
+    end = body_end(i, ratio * drop, o, c) if ratio > 1 else ratio * drop
+    reach = max(end - drop, c.least_reach)
     at = across(i, o, seen, c) & (below > 0) & (below < reach)
     under, rho = seen.under[at], seen.rho[at]
     near = ratio * (o.under[i] if ratio > 1 else under)

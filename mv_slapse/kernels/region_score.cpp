@@ -557,16 +557,16 @@ class Judge {
     return c.credit * static_cast<double>(o.kinds[r]) * square(1 - copied) / copied;
   }
 
-  // How far below the horizon bodies end that stand `drop` below it: the ground shows below the
+  // How far below the horizon a body ends that stands `drop` below it: the ground shows below the
   // body of what is near; of what is far, shadow and wheels hide it.
-  double body_end(double drop) const {
-    return drop - std::max(c.underbody * drop - c.macroblock, 0.0);
+  double body_end(py::ssize_t r, double drop) const {
+    return drop - std::max(c.underbody * height(r) - c.macroblock, 0.0);
   }
 
   // Squared distance of a region from all that stands on the ground.
   double hovers(py::ssize_t r, double at_foot, double sigma) const {
     const double ratio = at_foot / o.under[r];
-    const double above = std::max(std::log(body_end(ratio * o.drop[r]) / o.drop[r]), 0.0);
+    const double above = std::max(std::log(body_end(r, ratio * o.drop[r]) / o.drop[r]), 0.0);
     // Where the ground is seen below it is known: only the edge is not.
     const double spread = std::sqrt(square(c.edge_sigma / o.drop[r]) + square(c.ground_sigma) +
                                     square(sigma / at_foot) + square(c.clearance));
@@ -628,7 +628,7 @@ class Judge {
     const double drop = o.drop[r];
     if (!std::isfinite(drop)) return 0;
     const double reach =
-        std::max((ratio > 1 ? body_end(ratio * drop) : ratio * drop) - drop, c.least_reach);
+        std::max((ratio > 1 ? body_end(r, ratio * drop) : ratio * drop) - drop, c.least_reach);
     double evidence = 0, roads = 0;
     std::vector<py::ssize_t> place;
     for (py::ssize_t i = 0; i < seen.x.size(); ++i) {

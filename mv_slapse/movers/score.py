@@ -36,7 +36,7 @@ class Rules(NamedTuple):
     least_ratio: float = 1.2  # of apparent over ground's inverse depth at which something hovers
     clearance: float = 0.06  # logarithm of that ratio: what is left when the next is taken off
     outlier: float = 0.05  # density of a wrong vector's depth, to the peak of a right one's
-    underbody: float = 0.25  # share of the camera's height where bodies end: 0.4 m of 1.65
+    underbody: float = 0.25  # share of its height that a body ends above the ground: a car .2
     least_reach: float = 28.0  # px below a region in which the ground is looked for
     half_covered: float = 5.0  # px over which blocks below a body cease to show it: 4 of 10 at 4
     shown: float = 0.15  # share of this place that shows ground that is surely there

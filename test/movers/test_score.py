@@ -166,6 +166,11 @@ def test_a_body_ends_above_the_ground_that_it_stands_on():
     assert score(12.0, high=(1.0, HEIGHT - 0.5)) < 6
 
 
+def test_a_high_body_may_end_higher_above_the_ground_than_a_low_one():
+    end = {'depth': 8.0, 'high': (1.0, HEIGHT - 0.6)}
+    assert score(**end, low=(-1.0, -1.0)) < 0 < 9 < score(**end, low=(-1.0, 0.0))
+
+
 def test_what_drives_ahead_scores_less_where_no_road_is_seen():
     seen, unseen = (score(12.0, (0, 0, 1.0), below=below) for below in ('ground', 'nothing'))
     assert 2 < unseen < 9 < seen
