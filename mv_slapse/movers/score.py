@@ -38,7 +38,7 @@ class Rules(NamedTuple):
     outlier: float = 0.05  # density of a wrong vector's depth, to the peak of a right one's
     underbody: float = 0.25  # share of its height that a body ends above the ground: a car .2
     least_reach: float = 28.0  # px below a region in which the ground is looked for
-    half_covered: float = 8.0  # px over which blocks below a body cease to show it: .4 of them at 8
+    half_covered: float = 8.0  # px over which blocks below a body cease to show it: 4 of 10 at 7.5
     shown: float = 0.15  # share of this place that shows ground that is surely there
     unseen: float = 8.0  # largest score of what looks below the ground, where that is not seen
     no_land: float = 13.0  # largest score of what looks so, less what tells of land
